@@ -1,4 +1,4 @@
-"""Built-in problems: each is a TOML file of this folder, as a user would write it."""
+"""Built-in problems, each of which is a TOML file in this folder, like those that users write."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _FOLDER = Path(__file__).parent
 
 
 def names() -> tuple[str, ...]:
-    """List the built-in cases.
+    """Return the names of the built-in cases.
 
     Returns
     -------
     tuple of str
-        What `load`, `describe` and `path` take.
+        Names that `load`, `describe` and `path` accept.
     """
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.toml")))
 
 
 @check_arguments
 def describe(name: str) -> str:
-    """Say in one line what a case is.
+    """Return a one-line description of a case.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def describe(name: str) -> str:
 
 @check_arguments
 def path(name: str) -> Path:
-    """Return the path of a case's TOML file, which may serve as a template.
+    """Return the path of the TOML file of a case, which may serve as a template.
 
     Parameters
     ----------
@@ -91,9 +91,10 @@ def load(
     name : str
         One of `names`.
     pairing : {"shape", "index", "soft"}, optional
-        By MAC, by number in the sorted spectrum as in the paper, or softly; as its file says if not given.
+        How modes are paired: by MAC ("shape"), by order in the sorted spectrum as in the paper ("index"), or by
+        soft assignment ("soft"). Defaults to the setting in the case file.
     beta : float or array_like, shape (n_modes,), optional
-        Weight of a squared frequency error, 1/Hz², instead of the trust in the data that the file gives.
+        Weights 1/(2 sd²) of the frequency errors, in 1/Hz²; replaces the measurement uncertainty in the case file.
     engine : Engine, optional
         Trains the reduced model with its workers; see `fmu.engine`.
 

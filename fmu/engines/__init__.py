@@ -1,6 +1,6 @@
-"""Engines that run tasks in this process, in processes on this machine or on a Dask cluster, with equal results.
+"""Engines, which run tasks in this process, in processes on this machine or on a Dask cluster; results are equal.
 
-Read `base` (the interface) first, then `remote` (the common part of the two engines with worker processes).
+Read `base` (the interface) first, then `remote` (the code that the two engines with worker processes share).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from fmu.engines.base import Engine, InProcess
 def engine(
     workers: Annotated[Workers, "the address of a cluster is given as cluster="] = 1, cluster: str | None = None
 ) -> Engine:
-    """Return an engine that runs tasks in parallel, to be used as a context manager.
+    """Return an engine that runs tasks in parallel; use it as a context manager.
 
     Parameters
     ----------
     workers : int
-        Number of processes on this machine. With 1, all tasks run in this process.
+        Number of processes on this machine. If 1, all tasks run in this process.
     cluster : str, optional
         Address of the scheduler of a Dask cluster, ``"tcp://host:port"``. If given, the cluster runs the tasks.
 

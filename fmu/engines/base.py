@@ -1,6 +1,6 @@
-"""The interface of an engine, which runs tasks in parallel, and the engine that runs the tasks in this process.
+"""The interface of an engine, which runs tasks in parallel, and the engine that runs them in this process.
 
-The results depend neither on the engine nor on the number of workers, provided that the tasks themselves do not.
+The results depend neither on the engine nor on the number of workers, unless the tasks themselves do.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ type Follow[Task, Result] = Callable[[int, Result], Task | None]
 """``follow(i, result)`` returns the next task of sequence i, or None if the sequence has ended."""
 
 MAX_DEATHS = 3
-"""Number of worker deaths after which a task is given up."""
+"""Number of worker deaths after which a task is abandoned."""
 
 
 class RunFailedError(RuntimeError):
-    """Error of a run for a reason outside fmu, such as a model that fails too often or workers that die."""
+    """Raised if a run fails for a reason outside fmu, such as a model that often fails or workers that die."""
 
 
 class LostTaskError(RunFailedError):
-    """Error of a task on which every worker that ran it died.
+    """Raised when every worker that ran a task has died.
 
     Attributes
     ----------
     sequence : int
-        Index of the sequence that the task belongs to.
+        Index of the sequence to which the task belongs.
     how : str
-        The way in which the last worker died, in words.
+        How the last worker died, in words.
     """
 
     def __init__(self, sequence: int, how: str) -> None:
@@ -47,15 +47,15 @@ class LostTaskError(RunFailedError):
 
 @runtime_checkable
 class Engine(Protocol):
-    """An engine that runs tasks in parallel. As a context manager it stops its workers at the end of the block."""
+    """Runs tasks in parallel; as a context manager, it stops its workers at the end of the block."""
 
     @property
     def workers(self) -> int:
-        """Number of tasks that run at the same time."""
+        """Number of tasks that can run at the same time."""
         ...
 
     def free_memory(self) -> int | None:
-        """Return the bytes of memory that the workers may take together; None if that is not known."""
+        """Return the number of bytes of memory that the workers may use together; None if it is not known."""
         ...
 
     def run_tasks[Shared, Task, Result](
@@ -66,7 +66,7 @@ class Engine(Protocol):
         follow: Follow[Task, Result] | None = None,
         report: Report | None = None,
     ) -> list[Result]:
-        """Run ``work(shared, task, report)`` for every task, and for every task that follows from a result.
+        """Run ``work(shared, task, report)`` for every task, and for the tasks that follow from the results.
 
         In a sequence, each task follows from the result of the previous task. The tasks of a sequence run one
         after the other; different sequences run in parallel.
@@ -76,15 +76,15 @@ class Engine(Protocol):
         work : callable
             A function defined at module level.
         shared : object
-            Data that all tasks need. A worker receives the object once, and then only if another object is passed.
+            Data that all tasks need. A worker receives the object only once, until a different object is passed.
         tasks : sequence
             The first task of every sequence. No task may be None.
         follow : callable, optional
             Called in this process for every result. It returns the next task of the sequence, or None if the
             sequence has ended. Without `follow`, every sequence is a single task.
         report : callable, optional
-            Called in this process with the progress that `work` reports, at most about ten times a second for
-            each worker. Without `report`, `work` gets None in its place.
+            Called in this process with the progress that `work` reports, at most about ten times a second for each
+            worker. If None, None is passed to `work`.
 
         Returns
         -------
@@ -112,7 +112,7 @@ class Engine(Protocol):
 
 
 class InProcess(Engine):
-    """An engine that runs all tasks in this process, one after the other, with one BLAS thread as in a worker."""
+    """Runs all tasks in this process, one after the other, with one BLAS thread as in a worker."""
 
     workers = 1
 
@@ -127,7 +127,7 @@ class InProcess(Engine):
         follow: Follow[Task, Result] | None = None,
         report: Report | None = None,
     ) -> list[Result]:
-        """Run the tasks; see `Engine.run_tasks`, without copying `shared`."""
+        """Run the tasks without copying `shared`; see `Engine.run_tasks`."""
         from threadpoolctl import threadpool_limits
 
         results: dict[int, Result] = {}
@@ -142,7 +142,7 @@ class InProcess(Engine):
         return [results[i] for i in range(len(tasks))]
 
     def free_memory(self) -> int | None:
-        """Return the bytes of memory that are free on this machine; None where the system does not tell."""
+        """Return the number of free bytes of memory on this machine; None if the system does not report it."""
         return free_memory()
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """An engine that runs tasks on the workers of a Dask cluster.
 
-The workers need fmu, and all other packages that the tasks import, in the versions of the calling process.
+The workers need fmu and all other packages that the tasks import, in the same versions as the calling process.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _limit_blas_threads_once = cache(limit_blas_threads)
 
 
 class DaskCluster(RemoteEngine):
-    """An engine on a Dask cluster, with one task for each thread of the workers.
+    """An engine that runs tasks on a Dask cluster, one per thread of its workers.
 
-    Workers may join and leave the cluster. While there are no workers, the tasks wait.
+    Workers may join and leave the cluster. Tasks wait while there are no workers.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class DaskCluster(RemoteEngine):
     Raises
     ------
     ValueError
-        If `address` has another form, or no scheduler answers in time.
+        If `address` does not have this form, or no scheduler answers in time.
 
     Notes
     -----
-    Workers finish abandoned tasks, and new tasks may have to wait for this. If a worker dies, the scheduler itself
-    runs its task again, as often as the setting ``distributed.scheduler.allowed-failures`` of Dask allows.
+    Workers finish even abandoned tasks, so new tasks may have to wait. If a worker dies, the scheduler itself
+    reruns its task, as often as the Dask setting ``distributed.scheduler.allowed-failures`` permits.
     """
 
     def __init__(self, address: str, answer_s: float = 10.0) -> None:
@@ -80,24 +80,24 @@ class DaskCluster(RemoteEngine):
 
     @property
     def workers(self) -> int:
-        """Number of threads of all present workers, at least 1."""
+        """Total number of threads of the workers present, at least 1."""
         return max(1, sum(self._client.nthreads().values()))
 
     def free_memory(self) -> int | None:
-        """Return None: the memory of the workers' machines is not known here."""
+        """Return None, because the memory of the workers' machines is not known."""
         return None
 
     def close(self) -> None:
-        """Leave the cluster."""
+        """Disconnect from the cluster."""
         self._shared = None
         self._client.close()
         _set_levels(self._levels)
 
     def _start(self, waiting: deque[Task], shared: object) -> bool:
-        """Submit no more tasks than there are threads: a task queued at a worker would be lost with this worker.
+        """Submit waiting tasks, but no more than there are threads; return True if any task is running.
 
-        A task can also be lost because a worker dies of another task. A lost task is therefore run again alone: if
-        a worker dies then, this task is the cause.
+        A task queued at a worker would be lost with that worker. A task can also be lost because its worker dies
+        of another task. A lost task is therefore rerun alone: if a worker dies then, this task is the cause.
         """
         while waiting and len(self._running) < self._n_threads:
             if self._running and (waiting[0].deaths or any(task.deaths for _, task in self._running.values())):
@@ -111,10 +111,10 @@ class DaskCluster(RemoteEngine):
         return bool(self._running)
 
     def _future(self, shared: object) -> distributed.Future:
-        """Return `shared` as the future of a separate task, whose result the workers copy from each other.
+        """Return `shared` as the future of a separate task, whose result the workers copy from one another.
 
-        If the result is lost with a worker, the scheduler runs the task again. Scattered data would be lost, and a
-        broadcast would wait for ever for a worker that has just died.
+        If the result is lost with a worker, the scheduler reruns the task. Scattered data would be lost for good,
+        and a broadcast would wait forever for a worker that has just died.
         """
         if (
             self._shared is None
@@ -174,7 +174,7 @@ class DaskCluster(RemoteEngine):
 
 
 class _Thread(threading.local):
-    """The shared object that this thread of a worker unpickled last. Every thread has its own copy."""
+    """The shared object that this thread of a worker unpickled last; every thread has its own copy."""
 
     name = ""
     shared = Shared(b"")
@@ -184,7 +184,7 @@ _thread = _Thread()
 
 
 class Bytes:
-    """A wrapper of bytes whose content Dask does not inspect.
+    """A wrapper around bytes whose content Dask does not inspect.
 
     Parameters
     ----------
@@ -201,11 +201,11 @@ def return_argument(packed: Bytes) -> Bytes:
 
 
 def run_on_worker(shared: Bytes, name: str, key: str, task: Bytes, topic: str) -> Bytes:
-    """Run a task on a worker; return the pickled outcome, the number of the last report and the last report.
+    """Run a task on a worker; return the pickled outcome, and the number and content of the last report.
 
-    Each report is an event of `topic` with the key of the task, the number of the report and the report. The
-    `name` of the shared object shows whether this thread has already unpickled the object. The last report is also
-    sent with the outcome, because an event may arrive after the result.
+    Each report is sent as an event of `topic` with the key of the task and the number of the report. The `name` of
+    the shared object shows whether this thread has already unpickled it. The last report is also returned with the
+    outcome, because an event may arrive after the result.
     """
     _limit_blas_threads_once()
     number = 0
@@ -228,7 +228,7 @@ def _set_levels(levels: Mapping[str, int]) -> None:
 
 
 def _check_scheduler(address: str, answer_s: float) -> None:
-    """Raise a ValueError if no scheduler answers at `address` within `answer_s` seconds.
+    """Raise ValueError if no scheduler answers at `address` within `answer_s` seconds.
 
     This check comes first because a client that cannot connect prints a second error when it is garbage-collected.
     """

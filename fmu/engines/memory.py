@@ -1,4 +1,4 @@
-"""The memory of this machine: all of it, and what is free."""
+"""Total and free memory of this machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def free_memory() -> int | None:
-    """Return the bytes of memory that this process may still take; None where the system does not tell."""
+    """Return the number of bytes that this process may still allocate; None if the system does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         free = next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
@@ -26,7 +26,7 @@ def free_memory() -> int | None:
 
 
 def total_memory() -> float:
-    """Return the bytes of memory of this machine or container; infinite where the system does not tell."""
+    """Return the bytes of memory of this machine or container; infinite if the system does not report it."""
     total = math.inf
     with suppress(AttributeError, OSError, ValueError):
         total = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")

@@ -1,7 +1,7 @@
 """An engine that runs tasks in processes on this machine, each connected to the calling process by its own pipe.
 
-The workers share nothing: no queue, no lock that a dying worker could keep, and no thread in the calling process.
-The task on which a worker died is therefore known, and only this task is run again.
+The workers share no queue, no lock that a dying worker could hold, and no thread in the calling process. The task
+on which a worker died is therefore known, and only this task is rerun.
 
 On a two-core machine, a pool of two processes starts in 0.6 to 0.9 s and needs 0.2 ms for an empty task. Two local
 processes of Dask 2026.8 start in 1.6 to 2.5 s and need 12 to 16 ms. Dask also cannot start processes in a script
@@ -40,7 +40,7 @@ _pools: weakref.WeakSet[ProcessPool] = weakref.WeakSet()
 
 
 class WorkerProcess:
-    """A worker process, the calling process's end of the pipe to it, and the task that the worker is running."""
+    """A worker process, the calling process's end of its pipe, and the task that it is running."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
@@ -53,7 +53,7 @@ class WorkerProcess:
         self._has: bytes | None = None  # the shared data that were sent last
 
     def give(self, task: Task, shared: bytes) -> None:
-        """Send a task to the worker and, unless the worker has them already, the data that all tasks share."""
+        """Send a task to the worker and, unless it already has them, the data that all tasks share."""
         packed = task.pack()
         self.task = task
         with suppress(OSError):  # the worker has died; `message` will return this
@@ -63,7 +63,7 @@ class WorkerProcess:
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return the next message; ``("nothing", None)`` without one, ``("died", how)`` if the worker died."""
+        """Return the next message: ``("nothing", None)`` for none, ``("died", how)`` if the worker has died."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()
@@ -78,7 +78,7 @@ class WorkerProcess:
         return "died", f"exit code {code}" if code >= 0 else _name_of_signal(-code)
 
     def stop(self) -> None:
-        """Stop the process, even if it is busy, and wait until it has ended."""
+        """Stop the process, even if it is busy, and wait for it to end."""
         self.connection.close()
         self.process.terminate()
         self.process.join(_STOP_TIMEOUT_S)
@@ -89,7 +89,7 @@ class WorkerProcess:
 
 
 class ProcessPool(RemoteEngine):
-    """An engine with worker processes that start when they are first needed and run until the pool is closed.
+    """An engine whose worker processes start when they are first needed and run until the pool is closed.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class ProcessPool(RemoteEngine):
         return self._workers
 
     def free_memory(self) -> int | None:
-        """Return the bytes of memory that are free on this machine; None where the system does not tell."""
+        """Return the number of free bytes of memory on this machine; None if the system does not report it."""
         return free_memory()
 
     def close(self) -> None:
@@ -156,14 +156,14 @@ class ProcessPool(RemoteEngine):
         process.stop()
 
     def _pack_shared(self, shared: object) -> bytes:
-        """Return `shared` pickled; the same bytes object as in the last call if `shared` is the same object."""
+        """Return `shared` pickled; if it is the same object as in the last call, return the same bytes object."""
         if self._shared is None or self._shared[0] is not shared:
             self._shared = shared, cloudpickle.dumps(shared)
         return self._shared[1]
 
 
 def serve(connection: Connection, path: list[str], folder: str) -> None:
-    """Run, in a worker, the tasks that arrive over a connection, until the other end is closed.
+    """Run in a worker all tasks that arrive over a connection, until the other end is closed.
 
     The worker receives ``("shared", bytes)`` and ``("task", bytes)``, pickled. For each task it sends
     ``("report", arguments)`` any number of times, then ``("outcome", bytes)``.
@@ -207,9 +207,9 @@ def _name_of_signal(number: int) -> str:
 def _quiet_start() -> Iterator[None]:
     """Block interrupts and hide the main module while a process starts.
 
-    A spawned process imports the program's main module, which would itself start processes if it lacks
-    ``if __name__ == "__main__":``. Functions of the main module are pickled by value here, so that no worker has
-    to import this module.
+    A spawned process imports the main module of the program, which would itself start processes if it lacks ``if
+    __name__ == "__main__":``. Functions of the main module are pickled by value here, so no worker has to import
+    it.
     """
     with _starting:
         main = sys.modules["__main__"]

@@ -1,4 +1,4 @@
-"""Execution of a user's program with a time limit. The program always ends with the calling process."""
+"""Execution of a user's program with a time limit; the program is killed when the calling process ends."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ def run_program(
     output: Path,
     timeout_s: float,
 ) -> str:
-    """Run a program to its end; return the reason why it failed, or an empty string if it succeeded.
+    """Run a program until it ends; return the reason why it failed, or an empty string if it succeeded.
 
     Parameters
     ----------
     command : sequence of str
-        The path of the program and its arguments. No shell reads them.
+        The path of the program and its arguments, which no shell interprets.
     folder : Path
         Working directory of the program.
     output : Path
         File to which standard output and standard error are written.
     timeout_s : float
-        Time limit in s, after which the program is killed with the processes that it started.
+        Time limit in s, after which the program and the processes that it started are killed.
     """
     watched = [sys.executable, "-I", "-S", "-c", _ENDED_WITH_ITS_PARENT] if os.name == "posix" else []
     with open(output, "wb") as file:
@@ -96,7 +96,7 @@ def run_program(
 
 
 def last_lines(output: Path) -> str:
-    """Return the last lines that a program printed, joined to one line; empty if it printed nothing."""
+    """Return the last lines that a program printed, joined into one line; empty if it printed nothing."""
     try:
         with open(output, "rb") as file:
             file.seek(max(0, output.stat().st_size - _TAIL))

@@ -1,6 +1,7 @@
-"""The common part of the engines with worker processes: pickled tasks and outcomes, and the loop over the tasks.
+"""Common code of the engines with worker processes: pickled tasks and outcomes, and the loop over the tasks.
 
-`RemoteEngine` and `unpack_outcome` run in the calling process, `carry_out` and `limit_blas_threads` in a worker.
+`RemoteEngine` and `unpack_outcome` run in the calling process; `carry_out` and `limit_blas_threads` run in a
+worker.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEX
 
 
 class Task(NamedTuple):
-    """A task of a sequence."""
+    """One task of a sequence, as it waits or runs."""
 
     sequence: int
     work: Callable[..., object]
@@ -41,9 +42,9 @@ class Task(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The outcome of a task: the bytes that `carry_out` returned, or the number of successive worker deaths.
+    """The outcome of a task: the bytes returned by `carry_out`, or the number of successive worker deaths.
 
-    `how` is the way in which the last worker died, in words.
+    `how` says how the last worker died.
     """
 
     packed: bytes = b""
@@ -52,16 +53,16 @@ class Outcome(NamedTuple):
 
 
 class RemoteError(Exception):
-    """The traceback in a worker, set as the cause of the exception that is raised in the calling process."""
+    """Traceback in a worker, set as the cause of the exception that is raised in the calling process."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
 
 
 class RemoteEngine(Engine):
-    """An engine with workers in other processes.
+    """Base class of the engines with workers in other processes.
 
-    While the engine is busy, calls of `run_tasks` from `follow` and from other threads run in the calling process.
+    While the engine is busy, calls to `run_tasks` from `follow` or from other threads run in the calling process.
     """
 
     def __init__(self) -> None:
@@ -104,7 +105,7 @@ class RemoteEngine(Engine):
 
     @abstractmethod
     def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
-        """Wait for the workers, pass on their reports, and yield each task that has ended, with its outcome."""
+        """Wait for the workers, pass on their reports, and yield each finished task with its outcome."""
 
     @abstractmethod
     def _abandon(self) -> None:
@@ -112,7 +113,7 @@ class RemoteEngine(Engine):
 
 
 class Shared:
-    """Data for all tasks, unpickled when a task first needs them, so that an error is raised in this task."""
+    """Data for all tasks, unpickled when a task first needs them, so that any error is raised in that task."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
@@ -129,7 +130,7 @@ class Shared:
 def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message], None]) -> bytes:
     """Run a pickled task and return its pickled outcome: (result, exception or None, traceback).
 
-    The reports of the task are passed to `send`, at most ten per second.
+    The task's reports are passed to `send`, at most ten per second.
     """
     try:
         work, argument, reports = cloudpickle.loads(task)
@@ -147,7 +148,7 @@ def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message
 
 
 def unpack_outcome(outcome: bytes) -> Any:
-    """Return the result of a task, or raise the exception that ended it."""
+    """Return the result of a task, or raise the exception with which it ended."""
     result, error, where = cloudpickle.loads(outcome)
     if error is not None:
         raise error from RemoteError(where)
@@ -169,7 +170,7 @@ def limit_blas_threads() -> None:
 
 
 def _again(task: Task, outcome: Outcome) -> Task:
-    """Return a task that is to be run again; raise LostTaskError if too many workers have died on it."""
+    """Return a task to be rerun; raise LostTaskError if too many workers have died while running it."""
     deaths = task.deaths + outcome.deaths
     if deaths >= MAX_DEATHS:
         raise LostTaskError(task.sequence, outcome.how)

@@ -1,4 +1,4 @@
-"""Displays of progress: bars on a terminal or in a notebook, JSON lines for programs, otherwise log lines.
+"""Displays of progress: bars on a terminal or in a notebook, JSON lines for programs, and otherwise log lines.
 
 Reading order: this file, `phases` (the source of the reports), `displays`, `lines`; then `pace` and `words`.
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
-    """Yield a callback that draws one bar per phase; None if there is neither a notebook nor a terminal."""
+    """Yield a callback that draws one bar per phase; None if there is no notebook and no terminal."""
     from fmu.progress.displays import NotebookBars, SuccessiveBars
 
     if in_notebook():
@@ -34,7 +34,7 @@ def progress_bars() -> Iterator[Report | None]:
 def json_lines(stream: TextIO) -> JSONLines:
     """Return a callback that writes JSON lines; see `fmu.progress.displays.JSONLines`.
 
-    Use the callback as a context manager, or close it; otherwise the last line of a phase that ends early is lost.
+    Use the callback as a context manager, or close it. Otherwise the last line of a phase that ends early is lost.
     """
     from fmu.progress.displays import JSONLines
 
@@ -43,9 +43,9 @@ def json_lines(stream: TextIO) -> JSONLines:
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Yield the callback for an argument `progress`, or None for no display.
+    """Yield the callback for an argument `progress`, or None if nothing is displayed.
 
-    A callable is yielded unchanged. True stands for bars, None for bars in a notebook only, and False for no
+    A callable is yielded unchanged. True gives bars, None gives bars only in a notebook, and False gives no
     display. The bars show the `label` before the name of the phase.
     """
     if callable(progress):
@@ -58,7 +58,7 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
 
 
 def end_bars(report: Report | None) -> None:
-    """End the bars that a callback draws, so that text is printed below them; other callbacks are unaffected."""
+    """Stop updating the bars that a callback draws, so text can be printed below them; ignore other callbacks."""
     getattr(report, "end", lambda: None)()
 
 
@@ -78,5 +78,5 @@ def in_notebook() -> bool:
 
 
 def on_terminal() -> bool:
-    """Return True if the standard output is a terminal."""
+    """Return True if standard output is a terminal."""
     return sys.stdout.isatty()

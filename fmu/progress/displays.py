@@ -1,4 +1,4 @@
-"""Displays of progress: bars on a terminal or in a notebook, one per phase and group of chains; JSON lines."""
+"""Displays of progress: bars on a terminal or in a notebook, one per phase and group of chains, and JSON lines."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _REDRAW_S = 0.05
 _BAR_WIDTH = 8
 _NARROW = 100
 _ROWS_SPARED = 2
-"""Number of rows of a terminal kept free for output below the bars."""
+"""Number of terminal rows that are kept free for output below the bars."""
 
 
 @contextmanager
 def terminal_bars(console: Console | None = None) -> Iterator[Report]:
-    """Yield a callback that draws bars on the terminal; finished bars are hidden if there are too many bars."""
+    """Yield a callback that draws bars on the terminal; if there are too many, finished bars are hidden."""
     from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.table import Column
     from rich.text import Text
@@ -78,26 +78,26 @@ class SuccessiveBars:
         self.end()
 
     def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Display that `done` of `total` steps of a phase are done."""
+        """Show that `done` of the `total` steps of a phase are done."""
         if self._report is None:
             self._report = self._stack.enter_context(terminal_bars())
         self._report(phase, done, total, info)
 
     def end(self) -> None:
-        """Leave the bars as they are; the next report draws new bars."""
+        """Leave the bars as they are; the next report starts new bars."""
         self._stack.close()
         self._report = None
 
 
 def _make_room(bars: Progress) -> None:
-    """Hide the first finished bars if not all bars fit on the terminal."""
+    """Hide the oldest finished bars if the bars do not all fit on the terminal."""
     shown = [task for task in bars.tasks if task.visible]
     for task in shown[: max(len(shown) - (bars.console.size.height - _ROWS_SPARED), 0)]:
         bars.update(task.id, visible=not task.finished)
 
 
 class NotebookBars:
-    """Bars in a notebook as HTML, which every front end shows and a saved notebook keeps in their last state."""
+    """Bars in a notebook, drawn as HTML, which every front end shows; a saved notebook keeps their last state."""
 
     def __init__(self) -> None:
         self._lines: dict[str, str] = {}
@@ -107,7 +107,7 @@ class NotebookBars:
         self._handle: DisplayHandle | None = None
 
     def report(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Display that `done` of `total` steps of a phase are done."""
+        """Show that `done` of the `total` steps of a phase are done."""
         name, now = bar_name(phase, info), time.monotonic()
         began = self._began.setdefault(name, now)
         self._paces[name].add(now, done, total)
@@ -136,13 +136,13 @@ class JSONLines:
 
     A line is ``{"time": "2026-03-01T12:00:00.125Z", "label": "hmc", "phase": "draws", "done": 120, "total": 1000,
     "remaining_s": 41.2, "accept": 0.83, "rhat": 1.031, "ess": 212.0}``. The time is in UTC. `label` is present if
-    the report has a label. `remaining_s` is the remaining time in s at the present pace, or null if the pace is
-    not known. Phases beside the draws have ``elapsed_s``, the time in s since they began. The items of ``info``
-    follow under their own names; numbers that are not finite are null.
+    the report has a label. `remaining_s` is the remaining time in s at the current pace, or null if the pace is
+    not known. Phases other than the draws have ``elapsed_s``, the time in s since they began. The items of
+    ``info`` follow under their own names; numbers that are not finite become null.
 
-    At most one line per second is written for a phase, or for each ``group`` of chains in the phase, and the last
-    report is always written. The last line of a phase that ends early is written by `close`. If the stream breaks,
-    nothing more is written, and the run goes on.
+    At most one line per second is written for each phase and ``group`` of chains, but the last report is always
+    written. `close` writes the last line of a phase that ends early. If the stream breaks, nothing more is
+    written, and the run continues.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class JSONLines:
             self._held_back[name] = line
 
     def close(self) -> None:
-        """Write the lines that were held back; leave the stream open."""
+        """Write the lines that were held back, but do not close the stream."""
         for line in self._held_back.values():
             self._lines.write(as_json(line))
         self._held_back.clear()

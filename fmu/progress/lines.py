@@ -1,4 +1,4 @@
-"""Progress as log lines where there is no terminal: one line for every stage, then one line every 30 s."""
+"""Progress as log lines where there is no terminal: one line at each stage, then one line every 30 s."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from fmu.progress.phases import told_to
 from fmu.progress.words import Info, LineStream, Report, bar_name, duration, in_words
 
 FIRST_S = 0.5
-"""Time in s after which a stage gets its first line. Most stages end earlier."""
+"""Time in s after which the first line of a stage is written; most stages end earlier."""
 EVERY_S = 30.0
 
 
 class ProgressLines:
-    """A writer of log lines with the present stage, its steps, the elapsed time and the remaining time.
+    """Writes log lines with the current stage, its steps, the elapsed time and the remaining time.
 
-    A line is ``training: 120 of 400, 0:12 so far, 0:28 to go``. A thread writes the lines, so that a stage without
-    reports also gets lines. If the stream breaks, nothing more is written, and the work goes on.
+    A line is ``training: 120 of 400, 0:12 so far, 0:28 to go``. A thread writes the lines, so a stage without
+    reports also gets lines. If the stream breaks, nothing more is written, and the work continues.
 
     Parameters
     ----------
@@ -59,13 +59,13 @@ class ProgressLines:
         self._thread.join()
 
     def report(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Record a report on a phase; see `fmu.progress.words.Report`."""
+        """Record a report about a phase; see `fmu.progress.words.Report`."""
         with self._lock:
             self._step(bar_name(phase, info), done, total)
             self._words = in_words(info)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Record the steps of the present phase; see `fmu.progress.phases.Note`; an empty name ends the phase."""
+        """Record the steps of the current phase; see `fmu.progress.phases.Note`. An empty name ends the phase."""
         with self._lock:
             self._step(phase or self._outer, done, total)
 
@@ -109,7 +109,7 @@ class ProgressLines:
 
 @contextmanager
 def progress_lines(stage: str) -> Iterator[Report | None]:
-    """Write log lines on standard error while a block runs, and yield their callback.
+    """Yield a callback whose reports are written as log lines to standard error while the block runs.
 
     If standard error is a terminal, nothing is written, and None is yielded.
     """

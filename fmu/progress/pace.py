@@ -11,12 +11,12 @@ _SAMPLES = 50
 
 
 class Pace:
-    """The pace of a phase over the last seconds, so that a slow beginning does not count.
+    """Pace of a phase over the last few seconds, which is not affected by a slow beginning.
 
     Parameters
     ----------
     window_s : float
-        Length of the window in s. If reports are rarer, the last two reports are used.
+        Length of the window in s. If reports come less often, the last two reports are used.
     """
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
@@ -25,7 +25,7 @@ class Pace:
         self._steps: deque[tuple[float, int]] = deque()
 
     def add(self, now: float, done: int, total: int) -> None:
-        """Record that `done` of `total` steps are done at the time `now`, in s of any clock."""
+        """Record that `done` of `total` steps are done at time `now`, in s on any clock."""
         if self._steps and done < self._steps[-1][1]:  # the phase has started again
             self._steps.clear()
         self.total = total
@@ -43,7 +43,7 @@ class Pace:
         return (done - before) / (ended - began) if ended > began else None
 
     def remaining(self, now: float) -> float | None:
-        """Return the remaining time in s at the time `now`; None if the pace is zero or not known."""
+        """Return the remaining time in s at time `now`; None if the pace is zero or not known."""
         if not self._steps:
             return None
         at, done = self._steps[-1]
@@ -54,7 +54,7 @@ class Pace:
 
 
 class Throttle:
-    """A filter that lets reports through at most once per interval, but always lets through the last report.
+    """Lets reports through at most once per interval, but always lets the last report through.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Throttle:
         self._shown: dict[Hashable, float] = {}
 
     def lets(self, what: Hashable, *, ends: bool) -> bool:
-        """Return True if a report on `what` may be shown now; `ends` marks the last report."""
+        """Return True if a report about `what` may be shown now; `ends` marks the last report."""
         now = time.monotonic()
         if not ends and what in self._shown and now < self._shown[what] + self.interval_s:
             return False

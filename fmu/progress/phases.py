@@ -1,7 +1,7 @@
 """The phases of a run other than the draws: their progress, and the number of solves of the model in each phase.
 
 Code that may take long opens a `phase` and calls `Phase.advance`. Models call `count_solves`. `told_to` sets the
-callbacks that receive the reports, so that no function in between has to pass a callback on.
+callbacks that receive the reports, so the functions in between need not pass them on.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AT_ONCE_S = 0.5
-"""Time in s after which a phase is first reported. Most phases end earlier."""
+"""Time in s after which a phase is first reported; most phases end earlier."""
 
 _PART_S = 0.1
 _FIRST_ROWS = 16
 
 Note = Callable[[str, int, int], None]
-"""Called as ``note(phase, done, total)`` from the start of a phase on; with an empty name after the last phase."""
+"""Called as ``note(phase, done, total)`` whenever a phase begins or advances; the name is empty after the last
+phase."""
 
 
 class _Count:
@@ -46,7 +47,7 @@ class Phase:
     Attributes
     ----------
     said : dict of str to float
-        Further numbers that are added to the information of a report, by their names.
+        Further numbers, by name, that are added to the information of a report.
     """
 
     def __init__(self, name: str, total: int, report: Report | None, notes: tuple[Note, ...] = ()) -> None:
@@ -74,7 +75,7 @@ class Phase:
         self.tell()
 
     def tell(self) -> None:
-        """Call the notes, and call the report if the phase has lasted at least `AT_ONCE_S`."""
+        """Call the notes, and also the report if the phase has lasted at least `AT_ONCE_S`."""
         for note in self._notes:
             note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
@@ -83,7 +84,7 @@ class Phase:
             self._report(self.name, self.done, self.total, {"solves": self.solves, **elapsed, **self.said})
 
     def end(self) -> None:
-        """Report the phase as complete if it ends before its last step, or has lasted long without a report."""
+        """Report the phase as complete if it ends before its last step, or is long and has not been reported."""
         is_long = time.monotonic() - self._began >= AT_ONCE_S
         if (self._is_told and self.done < self.total) or (is_long and not self._is_told):
             self.total = self.done = max(self.done, 1)
@@ -99,9 +100,9 @@ _teller: ContextVar[Callable[[str], None] | None] = ContextVar("teller", default
 def told_to(
     report: Report | None, note: Note | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Set the callbacks for the phases of a block; an argument None leaves the present callback.
+    """Set the callbacks for the phases within a block; None leaves the current callback in place.
 
-    Of nested blocks, every `note` is called, but only the innermost `report` and `tell`.
+    In nested blocks, every `note` is called, but only the innermost `report` and `tell`.
     """
     outer_report, notes = _listeners.get()
     token = _listeners.set((report or outer_report, (*notes, note) if note else notes))
@@ -114,7 +115,7 @@ def told_to(
 
 
 def tell_fact(fact: str) -> None:
-    """Pass a fact, such as the size of the model, to the log; do nothing if there is no log."""
+    """Write a fact, such as the size of the model, to the log; do nothing if there is no log."""
     tell = _teller.get()
     if tell is not None:
         tell(fact)
@@ -122,7 +123,7 @@ def tell_fact(fact: str) -> None:
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
-    """Open a phase for a block. An inner phase is reported separately; its solves count for both phases."""
+    """Open a phase for a block; a nested phase is reported separately, but its solves count for both phases."""
     outer, (report, notes) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
@@ -142,7 +143,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
 
 
 def advance_phase(steps: int = 1) -> None:
-    """Add `steps` to the number of steps done in the open phase, if there is one."""
+    """Add `steps` to the number of steps done in the current phase, if there is one."""
     under_way = _phase.get()
     if under_way is not None:
         under_way.advance(steps)
@@ -155,10 +156,10 @@ def by_parts[Found](
     most: int = 4096,
     least: int = 1,
 ) -> list[Found]:
-    """Apply a function to points, (n, ...), in batches as a phase; return the list of the batches' results.
+    """Apply a function to batches of points, (n, ...), and report this as a phase; return the list of results.
 
-    The batches are sized to take some tenths of a second. They have at least `least` and at most `most` rows; the
-    last batch may have fewer.
+    The batch size is chosen such that a batch takes some tenths of a second. A batch has at least `least` and at
+    most `most` rows; the last one may have fewer.
     """
     found: list[Found] = []
     first, rows = 0, max(min(_FIRST_ROWS, most), least)
@@ -174,7 +175,7 @@ def by_parts[Found](
 
 
 def count_solves(n: int = 1, *, with_gradients: bool = False) -> None:
-    """Count `n` solves of the model, for this process and for the open phase."""
+    """Count `n` solves of the model, for this process and for the current phase."""
     _Count.solves += n
     _Count.gradients += n if with_gradients else 0
     under_way = _phase.get()
@@ -183,10 +184,10 @@ def count_solves(n: int = 1, *, with_gradients: bool = False) -> None:
 
 
 def solves() -> int:
-    """Return the number of solves that this process has counted."""
+    """Return the number of solves counted in this process."""
     return _Count.solves
 
 
 def gradients() -> int:
-    """Return the number of solves that this process has counted and that also gave an exact gradient."""
+    """Return the number of solves counted in this process that also gave an exact gradient."""
     return _Count.gradients

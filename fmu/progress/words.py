@@ -1,4 +1,4 @@
-"""Text and JSON for reports of progress, with short numbers, and the stream to which lines are written."""
+"""Text and JSON for progress reports, with numbers in short form, and the stream to which lines are written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PREFIXES = ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
 def bar_name(phase: str, info: Info) -> str:
-    """Return the name of a bar, such as ``hmc draws 1/2``: the label if any, the phase, the group if any."""
+    """Return the name of a bar, such as ``hmc draws 1/2``: label, if any, then phase, then group, if any."""
     return " ".join(str(part) for part in (info.get("label"), phase, info.get("group")) if part)
 
 
@@ -57,7 +57,7 @@ def number(value: float) -> str:
 
 
 def as_json(value: object) -> str:
-    """Return a value as JSON text: NumPy numbers as numbers, non-finite values as null, other objects as text."""
+    """Return a value as JSON text: NumPy numbers become numbers, non-finite values null, other objects text."""
     return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 
 
@@ -78,7 +78,7 @@ def _item(name: str, value: str | int | float, brief: bool) -> str:
 
 
 class LineStream:
-    """A writer of lines that flushes after each line, and writes nothing more once the stream has broken."""
+    """Writes lines to a stream and flushes it after each line; once the stream has broken, writes nothing more."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream: TextIO | None = stream

@@ -1,4 +1,4 @@
-"""Markov-chain samplers of a log-density; they are independent of the finite-element model.
+"""Markov chain samplers that draw from a log-density; they know nothing of the finite-element model.
 
 Reading order: kernel, local, metropolis, slice, trajectory, hmc, ensemble, adaptation, tempering/, loop/;
 `registry` lists the samplers by name. The public names are listed in ``__init__.pyi``; each name is imported when

@@ -1,7 +1,7 @@
-"""Shared parts of the tuners: the schedule of the warm-up, dual averaging of a step size, moments of the draws.
+"""Parts that the tuners share: the warm-up schedule, dual averaging of a step size, and moments of the draws.
 
-Adaptation uses the draws of all chains of a group, and stops at the end of the warm-up: the draws that follow come
-from one fixed, valid kernel, and do not include warm-up draws.
+Adaptation uses the draws of all chains of a group and stops at the end of the warm-up. All draws that are kept
+therefore come from one fixed, valid kernel.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ from fmu.samplers.kernel import Info, State, Tree
 from fmu.types import BoolArray, FloatArray
 
 LAG = 10.0
-"""Largest difference in log-density from that of most chains, plus one per coordinate, of a chain in the bulk."""
+"""Largest distance of a chain in the bulk from the log-density of most chains; one more is allowed per
+coordinate."""
 WINDOW_LAG = 3.0
-"""`LAG` for means over a window, plus half per coordinate: a mean scatters less than a single draw."""
+"""As `LAG`, for means over a window, with one half more per coordinate: a mean scatters less than a single
+draw."""
 STUCK = 0.3
-"""Smallest acceptance rate, as a fraction of the median over the chains, of a chain that the settings fit."""
+"""Smallest acceptance rate of a chain that is not stuck, as a fraction of the median over the chains."""
 SHRINKAGE = 5.0
-"""Weight, in draws, of the diagonal in a regularised covariance."""
+"""Weight of the diagonal in a regularised covariance, as a number of draws."""
 _HISTORY = ("position", "log_prob", "acceptance")
 _MEMORY = 0.9  # weight of the past in the smoothed log-density of a chain
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Schedule of a warm-up in three parts, as in Stan (Carpenter et al. 2017).
+    """Schedule of a warm-up that has three parts, as in Stan (Carpenter et al. 2017).
 
     The first part finds the bulk of the distribution; the second part learns the covariance, in windows; the last
     part adapts the scale under the final covariance. See the Stan reference manual, "HMC algorithm parameters".
@@ -38,8 +40,8 @@ class Schedule:
     steps, first, last : int
         Numbers of steps in total, in the first part, and in the last part.
     windows : tuple of (int, int)
-        Index of the first step of each window (from 0), and of the step before which the window closes. A
-        covariance is learnt from the steps of one window alone.
+        For each window, the index (from 0) of its first step and of the step before which it closes. Each
+        covariance is estimated from the steps of a single window.
     """
 
     steps: int
@@ -49,7 +51,7 @@ class Schedule:
 
     @classmethod
     def doubling(cls, steps: int) -> Schedule:
-        """Return a schedule of consecutive windows, each twice as long as the last; none in a short warm-up.
+        """Return a schedule in which each window is twice as long as the last; a short warm-up has no windows.
 
         This schedule suits a sampler that must adapt its scale again in every window.
         """
@@ -65,10 +67,11 @@ class Schedule:
 
     @classmethod
     def sliding(cls, steps: int) -> Schedule:
-        """Return a schedule of windows over the later half of the steps so far; none in a short warm-up.
+        """Return a schedule in which each window covers the later half of all steps so far.
 
-        Each window closes 10 % (at least 10 steps) later than the previous window. This schedule suits a sampler
-        that mixes slowly until it knows the covariance of the target: the estimate improves from window to window.
+        Each window closes 10 % (at least 10 steps) later than the previous one. A short warm-up has no windows.
+        This schedule suits a sampler that mixes slowly until it knows the covariance of the target: the estimate
+        improves from window to window.
         """
         first, last = int(0.25 * steps), int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -86,8 +89,8 @@ class DualAveraging:
     """Nesterov's dual averaging, which adapts the logarithm x of a step size to an acceptance rate δ.
 
     Hoffman & Gelman (2014), JMLR 15, 1593-1623, equation (6), with their constants. The arrays have one entry for
-    pooled chains, or one entry per chain. x is kept between `lowest` and `highest`, for densities on which the
-    step size does not change the acceptance rate.
+    pooled chains, or one entry per chain. x is kept between `lowest` and `highest`, because on some densities the
+    step size does not affect the acceptance rate.
 
     Parameters
     ----------
@@ -96,7 +99,7 @@ class DualAveraging:
     target : float
         The acceptance rate δ.
     count, error, centre, average
-        t, H̄_t, μ and x̄_t, the state of the recursion; not given for a new recursion.
+        t, H̄_t, μ and x̄_t, the state of the recursion; omitted for a new recursion.
     """
 
     log_value: FloatArray
@@ -118,7 +121,7 @@ class DualAveraging:
             self.centre = self.log_value + np.log(10.0)
 
     def update(self, acceptance: FloatArray) -> None:
-        """Take one observed acceptance probability α_t into account."""
+        """Update x with one observed acceptance probability α_t."""
         self.count += 1
         t = self.count
         # H̄_t = (1 − 1/(t + t₀)) H̄_{t−1} + (δ − α_t)/(t + t₀) is the mean error so far; t₀ damps the first steps
@@ -138,7 +141,7 @@ class DualAveraging:
 
 
 class Learner:
-    """Learner of the target's covariance, and of the chains that have reached the bulk, from the warm-up steps.
+    """Learns the covariance of the target, and which chains have reached its bulk, from the warm-up steps.
 
     Attributes
     ----------
@@ -154,7 +157,7 @@ class Learner:
         self._history: list[tuple[FloatArray, ...]] = []  # one tuple per step; _HISTORY names the arrays
 
     def learn(self, state: State, info: Info) -> bool:
-        """Take one step into account; return True if this step closed a window and gave a new covariance."""
+        """Record one step; return True if it closed a window and gave a new covariance."""
         smoothed = state.log_prob if self._log_prob is None else self._log_prob
         self._log_prob = _MEMORY * smoothed + (1.0 - _MEMORY) * state.log_prob
         self.step += 1
@@ -192,22 +195,22 @@ class Learner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another learner returned."""
+        """Restore a state that `state` of another learner returned."""
         self.step, self.covariance, self._log_prob = state["step"], state["covariance"], state["log_prob"]
         history = state["history"]
         self._history = list(zip(*(history[name] for name in _HISTORY if name in history), strict=True))
 
     def _arrays(self, first: int = 0) -> list[FloatArray]:
-        """Return the history arrays from step `first` on, each with leading shape (steps, chains)."""
+        """Return the recorded arrays from step `first` onwards, each with leading axes (steps, chains)."""
         return [np.array(values) for values in zip(*self._history[first:], strict=True)]
 
 
 def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
-    """Return the regularised covariance of all chains' draws, shape (ndim, ndim).
+    """Return the regularised covariance of the draws of all chains, shape (ndim, ndim).
 
-    Chains that lag behind, are trapped or hardly move are excluded, and so are single draws of far lower
-    log-density: only the far tails of the target are lost. The covariance is shrunk towards its own diagonal with
-    the weight of five draws, so that the units of the parameters do not matter. (Stan shrinks towards a fixed
+    Chains that lag behind, are trapped or hardly move are excluded. So are single draws with a far lower
+    log-density; this loses only the far tails of the target. The covariance is shrunk towards its own diagonal
+    with the weight of five draws, so that the units of the parameters do not matter. (Stan shrinks towards a fixed
     size, which would distort the covariance of a posterior much narrower than the prior.)
 
     Parameters
@@ -218,7 +221,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     Returns
     -------
     ndarray or None
-        None if there are too few draws, or the draws never moved, or their covariance is singular.
+        None if there are too few draws, a coordinate never changed, or the covariance is singular.
     """
     if not len(position):
         return None
@@ -241,12 +244,12 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
 
 
 def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
-    """Return a mask of the chains that have reached the bulk, the region of most chains, shape (chains,).
+    """Return a mask, shape (chains,), of the chains that have reached the bulk, the region where most chains are.
 
     The criterion is the (average) log-density of each chain, which scatters by only √(ndim/2) within one mode. A
     chain with a far lower value is still approaching the bulk or trapped; a chain with a far higher value has
-    found a spike, or a mode that the other chains have not found yet. In both cases its draws do not help the
-    other chains. If `acceptance` is given, a chain must also accept about as often as the other chains.
+    found a spike, or a mode that the other chains have not found yet. In either case its draws are of no use to
+    the other chains. If `acceptance` is given, a chain must also accept about as often as the other chains.
     """
     near = np.abs(log_prob - _level(log_prob)) <= allowance
     if acceptance is None:
@@ -256,5 +259,5 @@ def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray 
 
 
 def _level(log_prob: FloatArray) -> float:
-    """Return the log-density that half of the chains reach; the highest for one or two chains."""
+    """Return the log-density that at least half of the chains reach; for one or two chains, the highest."""
     return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])

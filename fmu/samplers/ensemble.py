@@ -1,4 +1,4 @@
-"""Affine-invariant ensemble sampling by emcee, with the interface of the other samplers."""
+"""Affine-invariant ensemble sampling with emcee, behind the same interface as the other samplers."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ Moves = str | Mapping[str, float] | Iterable[str | tuple[str, float]]
 MOVES = ("stretch", "de", "snooker", "kde")
 _BEST = (("de", 1.0), ("kde", 1.0))
 _PER_COORDINATE = 4
-"""Walkers per coordinate from which on half of the walkers give a usable kernel density."""
+"""Smallest number of walkers per coordinate for which half of the walkers give a usable kernel density."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Ensemble(Sampler):
-    """Ensemble sampler of the emcee library: walkers propose from the positions of other walkers.
+    """Ensemble sampler of the emcee library, in which each walker's proposal uses the positions of other walkers.
 
     Walkers are not independent chains: one ensemble is one chain, with steps × walkers draws. Nothing is tuned in
-    warm-up, as the proposals adapt through the positions of the walkers.
+    warm-up, because the proposals adapt to the positions of the walkers.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Ensemble(Sampler):
         "stretch", "de" (differential evolution), "snooker" or "kde" (draws from a kernel density of the other half
         of the walkers); or a mixture: ``{"de": 0.8, "snooker": 0.2}``, ``[("de", 0.8), ("snooker", 0.2)]`` or
         ``["de", "snooker"]`` (equal weights). One move is drawn per step. The default is "de" and "kde" with equal
-        weights, or "de" alone with fewer than four walkers per coordinate, too few for a kernel density.
+        weights. With fewer than four walkers per coordinate, too few for a kernel density, it is "de" alone.
 
     Raises
     ------
@@ -51,10 +51,10 @@ class Ensemble(Sampler):
 
     Notes
     -----
-    The default gave the most effective draws per evaluation on the posteriors of the paper. The list shows the
-    smaller of bulk and tail ESS of the worst parameter per 1000 evaluations after warm-up, for four ensembles of
-    32 walkers and 3000 steps. The four values are for cantilever-young paired by shape and by number, and
-    cantilever-section paired by shape and by number:
+    The default gave the largest effective sample size (ESS) per evaluation on the posteriors of the paper. The
+    list shows the smaller of the bulk and tail ESS of the worst parameter, per 1000 evaluations after warm-up, for
+    four ensembles of 32 walkers and 3000 steps. The four values are for cantilever-young paired by shape and by
+    number, then cantilever-section paired by shape and by number:
 
     - stretch: 11, 13, 16, 15;
     - de: 42, 43, 48, 37;
@@ -62,8 +62,8 @@ class Ensemble(Sampler):
     - kde: 46, 69, 42, 51; in the third run some walkers stopped moving;
     - de and kde: 61, 64, 75, 67.
 
-    The warm-up of a run to convergence is 100 steps, four autocorrelation times on these posteriors, from walkers
-    that start around the maxima.
+    A run that ends at convergence has 100 warm-up steps, four autocorrelation times on these posteriors; its
+    walkers start around the maxima.
 
     References
     ----------
@@ -103,7 +103,7 @@ class Ensemble(Sampler):
         Raises
         ------
         ValueError
-            If there are too few walkers for the move kde.
+            If there are too few walkers for the "kde" move.
         """
         enough = _PER_COORDINATE * ndim
         given = (_BEST if self.walkers >= enough else _BEST[:1]) if self.moves is None else _mixture(self.moves)
@@ -116,13 +116,13 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Ensemble kernel bound to a density. State.position is (chains, walkers, ndim), one ensemble per chain."""
+    """Kernel of an ensemble sampler; State.position is (chains, walkers, ndim), with one ensemble per chain."""
 
     target: _Tally
     sampler: EnsembleSampler
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starts, one solve per walker; raise ValueError unless the walkers span the space."""
+        """Evaluate the starting points, one solve per walker; raise ValueError if they do not span the space."""
         from emcee import walkers_independent
 
         for chain, walkers in enumerate(positions):
@@ -133,9 +133,9 @@ class EnsembleKernel:
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move every walker once.
 
-        emcee's generator is seeded from `rng` at every step, so that State and `rng` are all that a checkpoint
-        needs. The number of solves of an ensemble's step is exact. emcee does not report which walkers these
-        solves belong to, so that they are counted for the first walkers.
+        emcee's generator is seeded from `rng` at every step, so a checkpoint needs only State and `rng`. The total
+        number of solves of an ensemble is exact. emcee does not report which walkers the solves belong to, so they
+        are assigned to the first walkers.
         """
         n_solves, n_nonfinite = (np.zeros(state.log_prob.shape, dtype=np.int64) for _ in range(2))
         position, log_prob = np.empty_like(state.position), np.empty_like(state.log_prob)
@@ -159,7 +159,7 @@ class EnsembleKernel:
 
 
 class _Tally(Target):
-    """Log-density that emcee calls, with its cost counted. Each walker has one candidate per step."""
+    """Log-density that emcee calls, with counts of its evaluations; each walker has one candidate per step."""
 
     def __init__(self, density: LogDensity) -> None:
         super().__init__(density)

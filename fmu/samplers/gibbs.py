@@ -1,28 +1,30 @@
-"""Sampling of hierarchical posteriors: the parameters of populations and the scores of all tests in turn.
+"""Gibbs sampling of hierarchical posteriors: the main parameters and the scores of all tests, in turn.
 
-Where tests may be outliers, a step begins with a draw of which ones are, given their scores, and of their share;
-the rest of the step is conditional on that. It consists of
+The score of a parameter in a test is the standardised deviation of its value there from the mean of its
+population. The main parameters are all other parameters. Where tests may be outliers, each step first draws which
+tests are outliers, given their scores, and then the share of outliers. The rest of the step is conditional on
+these draws:
 
-1. a Hamiltonian trajectory of the main parameters in their density without the scores, which needs no solve of the
-   model (`fmu.posterior.joint.conditional.MarginalOfMain`); the scores move along, so that they keep their
-   distances from the most probable scores in units of their standard deviations; one solve of all tests, and the
-   change of the error of the approximation, decide whether the step is accepted;
-2. proposals for the scores of all tests at once from Student distributions about their most probable values, which
-   are computed to second order (`ScoresGivenMain`), another solve of all tests; the proposal of each test is
-   accepted or rejected by itself, as the tests are independent given the main parameters;
-3. candidates for the populations given the values in the tests, which need no solve (`PopulationsGivenValues`);
-4. where values are correlated in time, random walks of each correlation time given the scores, and together with
-   its population given the values (`fmu.posterior.joint.conditional.in_time`); the scores move in parts of tests
-   that are independent given all others, each with a solve, and the density of the scores in time, which the
-   approximations leave out, is in the ratios by which steps are accepted;
-5. where standard deviations of errors are inferred, a random walk of each of them given the predicted modes, which
-   are solved for once more.
+1. A Hamiltonian trajectory moves the main parameters in their density without the scores, which needs no solve of
+   the model (`fmu.posterior.joint.conditional.MarginalOfMain`). The scores move too: they keep their distances
+   from the most probable scores, in units of their standard deviations. One solve of all tests gives the change in
+   the error of the approximation, and the step is accepted or rejected.
+2. New scores of all tests are proposed at once, from Student distributions about the most probable scores, which
+   are computed to second order (`ScoresGivenMain`). This takes another solve of all tests. Each test's proposal is
+   accepted or rejected separately, because the tests are independent given the main parameters.
+3. Where values are correlated in time, step 2 moves one group of tests after another, at one solve per group; the
+   tests of a group are independent given all other tests. The approximations leave out the density of the scores
+   in time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks,
+   alone given the scores, and jointly with its population given the values
+   (`fmu.posterior.joint.conditional.in_time`).
+4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
+5. Where standard deviations of errors are inferred, each takes a random walk given the predicted modes, which are
+   solved for once more.
 
-The first part mixes well whether the tests are precise or not (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput.
-Graph. Stat.* 30, 906–919). The acceptance rate of the second part does not depend on the number of tests. Some of
-its proposals, chosen at random, are steps of a random walk of random size instead: they bring back a test whose
-scores are in a tail that the Student distribution lacks, where proposals that do not depend on the present scores
-would almost never be accepted.
+Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
+Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
+2, chosen at random, are random-walk steps of random size instead. They bring back a test whose scores are in a
+tail that the Student distribution lacks, where independent proposals would almost never be accepted.
 """
 
 from __future__ import annotations
@@ -51,22 +53,24 @@ from fmu.types import AnyArray, BoolArray, FloatArray, IntArray, LogDensity, Pos
 
 _FIRST_STEP = 0.5
 _LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
-"""Smallest and largest length of a trajectory, in standard deviations: a quarter period is 1.6 where these are
-right, and longer trajectories serve where the fitted normal distribution is too narrow."""
+"""Smallest and largest length of a trajectory, in standard deviations. A quarter period is 1.6 if these are right;
+longer trajectories help where the fitted normal distribution is too narrow."""
 _MANY = 150
 """Number of tests beyond which trajectories are shorter."""
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
 _NOISE_STEPS, _NOISE_SIZE = 4, 2.0
-"""Number of steps of the standard deviations of errors, and their size in deviations at the typical point."""
+"""Number of random-walk steps for each standard deviation of errors, and their size in standard deviations of its
+logarithm at the typical point."""
 _NU = 5.0
-"""Degrees of freedom of the Student distributions from which the scores of a test are proposed otherwise."""
+"""Degrees of freedom of the Student distributions from which the other proposals for scores are drawn."""
 _WALKS = 0.35
-"""Probability that the scores of a test are proposed by a step of a random walk."""
+"""Probability that the scores of a test are proposed by a random-walk step."""
 _SMALLEST = 0.05
-"""Size of the smallest step of a random walk, in standard deviations; the largest is one."""
+"""Size of the smallest random-walk step, in standard deviations; the largest is 1."""
 _SHORT = 0.1
-"""Probability of a shorter trajectory, by a factor between `_SMALLEST` and one: it moves a chain out of a tail."""
+"""Probability that a trajectory is shortened, by a factor between `_SMALLEST` and 1, which moves a chain out of a
+tail."""
 
 
 @check_arguments
@@ -77,7 +81,8 @@ class GibbsSampler(Sampler):
     Parameters
     ----------
     step_size : float, optional
-        Step size of the trajectories of main parameters, in standard deviations. Learnt in warm-up if not given.
+        Step size of the trajectories of the main parameters, in standard deviations; learnt in warm-up if not
+        given.
 
     Raises
     ------
@@ -99,7 +104,13 @@ class GibbsSampler(Sampler):
             object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
 
     def bind(self, density: LogDensity) -> GibbsKernel:
-        """Return the kernel that samples `density`; ValueError unless it is a problem with populations."""
+        """Return the kernel that samples `density`.
+
+        Raises
+        ------
+        ValueError
+            If `density` is not a problem with populations, or has a discrepancy, which couples the tests.
+        """
         problem = density.density if isinstance(density, ScaledDensity) else density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
@@ -114,25 +125,25 @@ class GibbsSampler(Sampler):
         return GibbsKernel(scaled, problem, found, metric, step_size)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:
-        """Return a tuner that learns the settings in `steps` warm-up steps; None if `step_size` is given."""
+        """Return a tuner that learns the step size during warm-up; None if `step_size` is given."""
         return GibbsTuner(self, density) if self.step_size is None else None
 
 
 class _Target(ExactGradient):
-    """The density of the main parameters without the scores.
+    """Density of the main parameters with the scores integrated out, for one trajectory.
 
     Parameters
     ----------
     marginal : MarginalOfMain
     theta : ndarray, shape (chains, ndim)
-        Supplies the standard deviations of the errors.
+        Points that give the standard deviations of the errors.
     scales : ndarray, shape (chains, n_tests, p)
-        The standard deviations of the scores without the data.
+        Prior standard deviations of the scores.
 
     Attributes
     ----------
     linear : Linear
-        The densities of the scores at the last points.
+        Densities of the scores at the points evaluated last.
     """
 
     linear: Linear
@@ -152,14 +163,11 @@ class _Target(ExactGradient):
 
 @dataclass(frozen=True)
 class GibbsKernel:
-    """Gibbs sampler bound to a problem with populations; see the description of the module.
+    """Kernel of the Gibbs sampler; the module describes its steps.
 
     Attributes
     ----------
-    scaled : ScaledDensity
-    problem : UpdatingProblem
-    conditionals : Conditionals
-    metric : Metric
+    scaled : ScaledDensity problem : UpdatingProblem conditionals : Conditionals metric : Metric
         Metric of the trajectories of the main parameters.
     step_size : ndarray, shape ()
         Step size of these trajectories.
@@ -173,11 +181,11 @@ class GibbsKernel:
 
     @property
     def _shrink(self) -> float:
-        """Factor on the length of trajectories: the changes of the errors of n tests add up as √n."""
+        """Factor on the trajectory length for many tests: the approximation errors of n tests add up as √n."""
         return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting positions; return the state, and an `Info` with the cost."""
+        """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation."""
         theta = self.scaled.to_theta(positions)
         terms = self.problem.terms_of_tests(theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
@@ -185,7 +193,7 @@ class GibbsKernel:
         return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Move the main parameters with the scores, then the scores, then the populations given the values."""
+        """Move the main parameters together with the scores, then the scores, then the populations."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         theta, scales = self._draw_scales(rng, theta)
         theta, terms, linear, extra = self._move_main(rng, theta, state.extra["terms"], scales)
@@ -204,9 +212,9 @@ class GibbsKernel:
         return State(position, log_prob, extra={"terms": terms}), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return theta with a new share of outliers, and the standard deviations of the scores of each test.
+        """Return theta with a new share of outliers, and the prior standard deviations of the scores of each test.
 
-        Which tests are outliers is drawn given their scores, and the share given these.
+        The outliers are drawn given the scores, and then their share given the outliers.
         """
         outliers = self.problem.layout.outliers
         if outliers is None:
@@ -217,10 +225,11 @@ class GibbsKernel:
     def _move_main(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
-        """Return theta and terms after a trajectory of the main parameters, with densities and statistics.
+        """Move the main parameters along a trajectory; return theta, the terms, the densities and the statistics.
 
-        The densities are those of the scores there. The statistics are the acceptance rate in the approximate
-        density, which the step size is tuned by, and whether the chain has moved.
+        The terms are the log-likelihoods of the data, (chains, n_terms), and the densities are those of the scores
+        at the new theta. The statistics are the acceptance probability in the approximate density, which tunes the
+        step size, and whether the chain has moved.
         """
         marginal, given = self.conditionals.marginal, self.conditionals.scores
         target = _Target(marginal, theta, scales)
@@ -264,10 +273,10 @@ class GibbsKernel:
     def _move_all_scores(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Return theta and terms with new scores, the shares of tests that moved, and the numbers of solves.
+        """Move the scores of all tests; return theta, the terms, the shares of moved tests, and the solve counts.
 
-        Correlation times move too, and their populations given the values. The solve of the main parameters' step
-        is counted here.
+        Correlation times move too, and with them their populations given the values. The solve for the step of the
+        main parameters is counted here.
         """
         in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
         if in_time is None:
@@ -290,7 +299,7 @@ class GibbsKernel:
         scales: FloatArray = REGULAR,
         part: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return theta and terms with new scores of a `part` of the tests, and the shares of tests that moved."""
+        """Move the scores of a `part` of the tests; return theta, the terms, and the shares of moved tests."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z, normal = of.scores.take(theta), of.normal_of(linear)
         walks = rng.random(z.shape[:2]) < _WALKS
@@ -315,7 +324,7 @@ class GibbsKernel:
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
-        """Return the parts of the log-density in time that contain the scores of each test, (chains, n_tests)."""
+        """Return the part of the log-density in time that contains the scores of each test, (chains, n_tests)."""
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
@@ -331,9 +340,9 @@ class GibbsKernel:
     def _move_noise(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return theta and terms with new standard deviations of errors.
+        """Move the standard deviations of the errors; return theta and the terms.
 
-        One after the other walks on the logarithmic scale. The predicted modes do not change.
+        Each in turn takes a random walk on the logarithmic scale. The predicted modes do not change.
         """
         problem = self.problem
         likelihood, first = problem.likelihood, problem.n_structural
@@ -356,7 +365,7 @@ class GibbsKernel:
 
 
 class GibbsTuner:
-    """Tuner of the step size of the main parameters' trajectories.
+    """Tuner of the step size for the trajectories of the main parameters.
 
     Parameters
     ----------

@@ -20,10 +20,11 @@ from fmu.types import FloatArray, LogDensity, Positive
 
 GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
-"""Initial step size, in scaled units, and number of steps: short enough for posteriors 1000 times narrower than
-priors."""
+"""Initial step size, in scaled units, and initial number of steps: short enough for posteriors 1000 times narrower
+than the prior."""
 _LEARNABLE = 50
-"""Largest number of parameters whose covariance is learnt from the warm-up draws: ten draws each are needed."""
+"""Largest number of parameters whose covariance is learnt from the warm-up draws; ten draws per parameter are
+needed."""
 # Steps of a trajectory: 2 to 8 are enough with a good metric; with a poor metric the cost must be bounded.
 _MOST_STEPS = 32
 SHORT_STEPS = 0.95
@@ -44,21 +45,22 @@ class HamiltonianMonteCarlo(LocalSampler):
     Parameters
     ----------
     step_size : float, optional
-        Step size δt, in scaled units. Without a step size, warm-up learns the step size, and also `n_steps` and
-        `inverse_mass` unless these are given. With a step size, nothing is learnt.
+        Step size δt, in scaled units. If it is given, nothing is learnt. Otherwise warm-up learns it, and also
+        `n_steps` and `inverse_mass` unless these are given.
     n_steps : int, optional
         Number of leapfrog steps per trajectory.
     jitter : float
         Each trajectory's step size is drawn uniformly within ± this fraction of the step size, to avoid resonance.
     inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
-        Inverse mass matrix M⁻¹, or its diagonal; the identity if neither given nor learnt.
+        Inverse mass matrix M⁻¹, or its diagonal; the identity if it is neither given nor learnt.
     target_accept : float
-        Acceptance rate that the step size is adapted to; at least `SHORT_STEPS` where trajectories still diverge
-        at the end of warm-up.
+        Acceptance rate for which the step size is tuned; raised to at least `SHORT_STEPS` if trajectories still
+        diverge at the end of warm-up.
     length : float
-        Trajectory length that adaptation aims at, in standard deviations of the target. With a length of 2, the
-        effective sample size per gradient is within a quarter of the best, both on curved posteriors and on
-        posteriors whose mass lies at a bound (best near 1.5); for a Gaussian without bounds 3 would be better.
+        Trajectory length for which the number of steps is tuned, in standard deviations of the target. A length of
+        2 gives an effective sample size per gradient within a quarter of the best, on curved posteriors and on
+        posteriors whose mass lies at a bound (where 1.5 is best). For a Gaussian without bounds, 3 would be
+        better.
     gradient : {"exact", "central-difference"}
         Gradients from the density, or by central differences as in eq. (15) of the paper.
     delta : float or vector (ndim,)
@@ -126,7 +128,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> HamiltonianMonteCarlo:
-        """Return the settings with M⁻¹ from the curvature at the maximum of largest weight.
+        """Return the settings with M⁻¹ from the curvature at the maximum with the largest weight.
 
         If `step_size` or `inverse_mass` is given, or warm-up can learn M⁻¹, return the settings unchanged.
         """
@@ -145,10 +147,10 @@ class HamiltonianMonteCarlo(LocalSampler):
 
 
 class HamiltonianTuner:
-    """Tuner of the step size, the inverse mass and the number of steps of a trajectory.
+    """Tuner of the step size, the inverse mass and the number of steps per trajectory.
 
-    The step size comes from dual averaging, the inverse mass from the covariance of the draws in each window, and
-    the number of steps from the step size and the trajectory length aimed at.
+    The step size comes from dual averaging, and the inverse mass from the covariance of the draws in each window.
+    The number of steps is the intended trajectory length divided by the step size.
 
     In the first part of the warm-up every chain has its own step size: a chain far from the bulk of the
     distribution needs a small step size, which must not slow down the other chains. Afterwards all chains share
@@ -221,22 +223,22 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether `_TRIALS` step sizes were tried under the last metric; the first of them are too long."""
+        """Whether `_TRIALS` step sizes have been tried with the last metric; the first few are too long."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 
     @property
     def _has_metric(self) -> bool:
-        """Whether a metric is known, so that trajectories have a length in standard deviations."""
+        """Whether a metric is known, so that trajectory lengths are in standard deviations."""
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
-        """Return the step size, at most `_LONGEST` trajectory lengths; a flat density accepts every step."""
+        """Return the step size, at most `_LONGEST` trajectory lengths because a flat density accepts any step."""
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: FloatArray | float) -> int:
-        """Return the number of steps of a trajectory of the length aimed at; `n_steps` if it is given."""
+        """Return `n_steps` if it is given, else the number of steps that gives the intended trajectory length."""
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

@@ -1,8 +1,8 @@
 """The parts of a sampler: its settings, the kernel that moves the chains, the state of the chains, and a tuner.
 
-A sampler is a small frozen dataclass of settings. Binding the settings to a density gives a kernel. The kernel
-advances all chains of a group in lockstep, as one array, so that each batched evaluation of the density serves
-all chains. A tuner learns better settings during warm-up.
+A sampler is a small frozen dataclass of settings. Binding the settings to a density gives a kernel, which advances
+all chains of a group in lockstep, as one array. Each batched evaluation of the density therefore serves all
+chains. A tuner learns better settings during warm-up.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Tree = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class State:
-    """State of the chains from which a kernel takes the next step: arrays only, so that it can be saved in a file.
+    """State of the chains before a kernel's next step; it holds only arrays, so it can be saved in a file.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class State:
 
 @dataclass(frozen=True)
 class Info:
-    """Diagnostics of one step; the first four names mean the same thing in every sampler.
+    """Diagnostics of one step; the first four attributes mean the same in every sampler.
 
     Attributes
     ----------
@@ -63,11 +63,11 @@ class Info:
         Gradients that the step took. An exact gradient is one solve too; a central-difference gradient is
         ``2 ndim`` solves.
     extra : mapping of str to ndarray
-        Statistics that only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ...
-        These statistics are recorded for every draw.
+        Statistics that only some samplers have, such as ``acceptance_rate``, ``energy``, ``diverging`` and
+        ``n_steps``; recorded for every draw.
     parts : Info, optional
-        For a kernel that runs other kernels, the diagnostics of the other kernels' steps. The tuner uses these
-        diagnostics; they are not recorded.
+        For a kernel that runs other kernels, the diagnostics of the steps of those kernels, for use by the tuner;
+        not recorded.
     """
 
     accepted: BoolArray
@@ -82,7 +82,7 @@ class Kernel(Protocol):
     """A sampler bound to a density."""
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting positions; return the state, and an `Info` with the cost."""
+        """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation."""
         ...
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
@@ -93,7 +93,7 @@ class Kernel(Protocol):
 class Sampler(ABC):
     """Base class of the samplers' settings, which are dataclasses.
 
-    A sampler that `registry` lists by name also sets these class attributes.
+    A sampler that is listed in `registry` also sets these class attributes.
 
     Attributes
     ----------
@@ -102,17 +102,17 @@ class Sampler(ABC):
     title, colour : str
         Title and colour of the sampler in figures and reports.
     cost : tuple of three float
-        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after the
+        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after
         warm-up, and distinct draws.
     first : tuple of two int
-        For a run that ends when it has converged: the number of warm-up steps, and the number of draws after
-        which convergence is first checked.
+        For a run that ends at convergence: the number of warm-up steps, and the number of draws after which
+        convergence is first checked.
     is_local : bool
-        Whether the sampler takes local steps; see `LocalSampler`: the mixture and tempering can then use these.
+        Whether the sampler takes local steps (see `LocalSampler`), which the mixture and tempering can then use.
     takes_maxima : bool
         Whether the settings may depend on the maxima of the density; see `starting_from`.
     learns_together : bool
-        Whether all chains must be in one group.
+        Whether all chains must be in one group, because they are tuned together.
     walkers : int
         Number of walkers that an ensemble moves together; 1 for a sampler whose chain is a single point.
     gradient : str
@@ -132,12 +132,12 @@ class Sampler(ABC):
 
     @property
     def walkers(self) -> int:
-        """Number of walkers per chain: 1, as a chain is a single point."""
+        """Number of walkers per chain: 1, because a chain is a single point."""
         return 1
 
     @property
     def gradient(self) -> str:
-        """Source of the gradients: "", as none are used."""
+        """Source of the gradients: "", because none are used."""
         return ""
 
     @property
@@ -146,7 +146,7 @@ class Sampler(ABC):
         return bool(self.gradient)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return settings that use the maxima of the density, given as quadratics; by default, these settings."""
+        """Return settings adapted to the maxima of the density, given as quadratics; unchanged by default."""
         return self
 
     @abstractmethod
@@ -154,7 +154,7 @@ class Sampler(ABC):
         """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return a tuner that learns better settings in `steps` warm-up steps; None if nothing is to be learnt."""
+        """Return a tuner that learns better settings in `steps` warm-up steps; None if there are none to learn."""
         return None
 
 
@@ -170,15 +170,14 @@ class Tuner(Protocol):
     kernel: Any
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Learn from one step, and change `kernel` accordingly.
+        """Learn from one step, and update `kernel`.
 
-        Return the number of evaluations that learning itself took for each chain, shape (chains,); None if it
-        took none.
+        Return the number of evaluations that the learning itself took, shape (chains,); None if it took none.
         """
         ...
 
     def finish_learning(self) -> Sampler:
-        """Return the settings learnt, with adaptation off."""
+        """Return the learnt settings, with adaptation turned off."""
         ...
 
     def state(self) -> Tree:
@@ -186,7 +185,7 @@ class Tuner(Protocol):
         ...
 
     def restore(self, state: Tree) -> None:
-        """Restore a state that `Tuner.state` returned, of a tuner made with the same arguments."""
+        """Restore a state that `Tuner.state` returned for a tuner with the same arguments."""
         ...
 
 
@@ -209,7 +208,7 @@ class Evaluation(NamedTuple):
 
 
 class Target:
-    """Evaluator of a density for the kernels: in batches, only inside the box, and with the cost counted.
+    """Evaluates a density for the kernels in batches, only inside the box, and counts the cost.
 
     Parameters
     ----------
@@ -222,7 +221,7 @@ class Target:
         self.solves_per_gradient = int(getattr(density, "solves_per_gradient", 1))
 
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
-        """Return the log-densities at `position`, shape (n, ndim), inside the box.
+        """Return the log-densities, shape (n,), at points `position`, shape (n, ndim), inside the box.
 
         `chain` selects the chains that the points belong to; a subclass may use a different density for each
         chain.
@@ -231,12 +230,12 @@ class Target:
         return values
 
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
-        """Evaluate the density in one batch at the points `position`, shape (..., ndim), that lie inside the box.
+        """Evaluate the density in one batch, at all points of `position`, shape (..., ndim), inside the box.
 
         `chain`, shape (...), is the index of each point's chain; if it is not given, there is one point per chain.
 
         Points outside the box are never evaluated; a point with a NaN coordinate counts as outside. A value that
-        is not finite (a failed eigensolve) counts as ``-inf``, so that only this point is rejected.
+        is not finite (a failed eigensolve) becomes ``-inf``, so only that point is rejected.
         """
         inside, all_inside = find_inside(position, self.lower, self.upper)
         log_prob = np.full(inside.shape, -np.inf)
@@ -249,11 +248,11 @@ class Target:
         return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting positions, one solve each; return the state without gradients, and its `Info`."""
+        """Evaluate the starting points, one solve each; return the state without gradients, and its `Info`."""
         first = self.evaluate(positions)
         none = np.zeros(first.log_prob.shape, dtype=np.int64)
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Return the state of another kernel completed for a step, and the cost; None if nothing was missing."""
+        """Return the state with any gradient that a step needs, and the cost; None if nothing was missing."""
         return state, None

@@ -1,4 +1,4 @@
-"""Base classes of the local samplers, whose steps the mixture sampler and tempering use too.
+"""Base classes of the local samplers, whose steps the mixture sampler and tempering can use too.
 
 A local sampler is one file with settings derived from `LocalSampler`, and a kernel derived from `LocalKernel`.
 """
@@ -19,8 +19,8 @@ from fmu.types import BoolArray, FloatArray, LogDensity
 class LocalSampler(Sampler):
     """Settings of a sampler that moves a single point per chain by local steps.
 
-    The mixture sampler takes such steps between its candidates, and tempering moves its replicas by such steps.
-    With the jumps that `with_jumps` adds, the chains of a local sampler cross between maxima.
+    The mixture sampler takes such steps between its candidates, and tempering moves its replicas with them. With
+    the jumps that `with_jumps` adds, the chains of a local sampler can cross from one maximum to another.
     """
 
     is_local: ClassVar[bool] = True
@@ -32,7 +32,8 @@ class LocalSampler(Sampler):
     def take_covariance(self, covariance: FloatArray) -> Self:
         """Return the settings with steps adapted to a covariance, shape (ndim, ndim).
 
-        Settings that already specify the steps, or whose tuner starts without a covariance, stay unchanged.
+        Settings that already specify the steps, or whose tuner starts without a covariance, are returned
+        unchanged.
         """
         return self
 
@@ -41,14 +42,14 @@ class LocalSampler(Sampler):
 class LocalKernel(ABC):
     """A local sampler bound to a density; derived kernels are frozen dataclasses too.
 
-    Its state is position, log-density and, if the target has gradients, the gradient. Its `Info.extra` contains
-    ``n_nonfinite``, the number of each chain's evaluations inside the box that are not finite.
+    Its state is the position, the log-density and, if the target has gradients, the gradient. Its `Info.extra`
+    contains ``n_nonfinite``, the number of evaluations of each chain inside the box that are not finite.
     """
 
     target: Target
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting positions; raise ValueError if a gradient that the steps need is not finite."""
+        """Evaluate the starting points; raise ValueError if a gradient that the steps need is not finite."""
         return self.target.start(positions)
 
     @abstractmethod
@@ -62,17 +63,17 @@ class LocalKernel(ABC):
         Parameters
         ----------
         kernels : sequence of kernels of this kind
-            The first is this kernel. The settings of the kernels may differ; their targets do not matter.
+            The first is this kernel. The kernels may have different settings; their targets are ignored.
         chains : int
-            Number of chains of each kernel. The array contains the chains of the first kernel, then of the second
-            kernel, etc.
+            Number of chains of each kernel. The array contains the chains of the first kernel, then those of the
+            second, and so on.
         """
 
 
 def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArray) -> BoolArray:
     """Return a mask of the accepted candidates: True with probability min(1, exp(log_ratio)), elementwise.
 
-    Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092; log u of a uniform u is −x with x exponential.
+    Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092. log u is drawn as −x with x exponential.
     """
     return np.asarray(-rng.standard_exponential(log_ratio.shape) <= log_ratio)
 
@@ -80,14 +81,14 @@ def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArr
 def accept_or_reject(
     rng: np.random.Generator, state: State, candidate: State, log_ratio: FloatArray
 ) -> tuple[State, BoolArray]:
-    """Move every chain to its candidate with probability min(1, exp(log_ratio)), or leave it where it is.
+    """Move each chain to its candidate with probability min(1, exp(log_ratio)); otherwise leave it where it is.
 
     Parameters
     ----------
     rng : Generator
     state, candidate : State
-        The states of all chains, and their candidates. The new state has gradients if both have gradients, and
-        no `extra`.
+        The states of all chains, and their candidates. The new state has gradients if both have them, and has no
+        `extra`.
     log_ratio : ndarray, shape (chains,)
         log P(E*) q(E | E*) − log P(E) q(E* | E) for a candidate E* that was drawn from q(E* | E).
 

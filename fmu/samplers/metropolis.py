@@ -24,7 +24,7 @@ _SETTLING = 20  # steps that the scale of a random walk takes to settle
 class Proposal(Protocol):
     """A conditional density q(candidate | position), in scaled units.
 
-    If the proposal is a dataclass whose fields can be written as JSON, the fields are recorded with the trace.
+    If the proposal is a dataclass whose fields can be written as JSON, they are recorded with the trace.
     """
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
@@ -49,7 +49,7 @@ class RandomWalk:
     Raises
     ------
     ValueError
-        If `scale` is not finite and positive, or as a matrix not positive definite.
+        If `scale` is not finite and positive, or is a matrix that is not positive definite.
     """
 
     scale: Any = 0.01
@@ -117,7 +117,7 @@ class LogNormalWalk:
         object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates: the positions, with their distances from the origin times log-normal factors."""
+        """Return candidates: the distances of the positions from the origin times log-normal factors."""
         ndim = position.shape[-1]
         scale, origin = fits("scale", self.scale, ndim), fits("origin", self.origin, ndim)
         if np.any(position <= origin):
@@ -133,7 +133,7 @@ class LogNormalWalk:
 
 @dataclass(frozen=True)
 class Independence:
-    """Asymmetric proposal of candidates from N(mean, covariance) at any position, e.g. a Laplace approximation.
+    """Proposal that draws candidates from N(mean, covariance), such as a Laplace approximation, at any position.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Independence:
     Raises
     ------
     ValueError
-        If `mean` is not finite, or `covariance` is not symmetric, positive definite and of the same size.
+        If `mean` is not finite, or `covariance` is not a symmetric positive definite matrix of matching size.
     """
 
     mean: ArrayLike
@@ -184,8 +184,8 @@ class MetropolisHastings(LocalSampler):
     Parameters
     ----------
     proposal : Proposal, optional
-        The proposal q, with its settings in scaled units. By default it is a Gaussian random walk whose
-        covariance is learnt in warm-up; the first quarter of the warm-up is then slice sampling.
+        The proposal q, with settings in scaled units. By default it is a Gaussian random walk whose covariance is
+        learnt in warm-up; the first quarter of the warm-up then uses slice sampling.
 
     References
     ----------
@@ -236,7 +236,7 @@ class MetropolisKernel(LocalKernel):
         return end, Info(accepted, end.log_prob, new.n_solves, np.zeros_like(new.n_solves), extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for the chains of all `kernels`, whose proposals must be Gaussian random walks."""
+        """Return one kernel for the chains of all `kernels`, which must propose Gaussian random walks."""
         ndim, factors = self.target.ndim, list[FloatArray]()
         for kernel in kernels:
             proposal: Any = kernel.proposal
@@ -246,7 +246,7 @@ class MetropolisKernel(LocalKernel):
 
 
 class Search(SliceKernel):
-    """Slice-sampling kernel that records the same statistics as a Metropolis-Hastings kernel."""
+    """Slice-sampling kernel that records the same statistics as the Metropolis-Hastings kernel."""
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw a point from the slice for every chain, without a rejection step."""
@@ -256,12 +256,12 @@ class Search(SliceKernel):
 
 
 class MetropolisTuner:
-    """Tuner of a Gaussian random walk: its covariance from the draws, and its scale from the acceptance rate.
+    """Tuner of a Gaussian random walk: learns the covariance from the draws, the scale from the acceptance rate.
 
     A random walk with an unsuitable covariance takes long to reach the bulk of the distribution, and the draws on
-    the way there may have a different covariance from the bulk. The first part of the warm-up is therefore slice
-    sampling, which finds its own scale in every step. The random walk begins with the covariance of these draws,
-    and each window improves the covariance (Haario, Saksman & Tamminen 2001).
+    the way there may have a different covariance from the bulk. The first part of the warm-up therefore uses slice
+    sampling, which finds its own scale in every step. The random walk starts with the covariance of these draws,
+    and each window improves it (Haario, Saksman & Tamminen 2001).
 
     The random walk has the covariance s²·S, where S is the covariance of the last window. The scale s is adapted
     until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44 in one
@@ -293,7 +293,7 @@ class MetropolisTuner:
         self._take_settings()
 
     def finish_learning(self) -> MetropolisHastings:
-        """Return the settings learnt, with the scale averaged over the last steps."""
+        """Return the learnt settings, with the scale averaged over the last steps."""
         averaged = self.sum / (self.count - _SETTLING) if self.count > 2 * _SETTLING else self.log_scale
         return self._settings(averaged)
 

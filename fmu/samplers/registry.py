@@ -1,4 +1,4 @@
-"""Registry of the samplers by name. A sampler of the package is one file, and one line here."""
+"""Registry of the samplers by name; to add a sampler to the package takes one file, and one line here."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BASELINE = "emcee"
 
 
 def sampler_class(name: str) -> type[Sampler]:
-    """Return the class of a sampler's settings; raise ValueError, with the known names, if `name` is unknown."""
+    """Return the settings class of a sampler; raise ValueError, listing the known names, if `name` is unknown."""
     if name not in SAMPLERS:
         raise ValueError(f"sampler: must be one of {', '.join(SAMPLERS)} (got {name!r})")
     module, _, kind = SAMPLERS[name].rpartition(".")
@@ -39,9 +39,9 @@ def local_samplers() -> tuple[str, ...]:
 
 
 def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
-    """Return the numbers of warm-up steps and draws of a run, with a default for each number that is None.
+    """Return the numbers of warm-up steps and draws of a run, with a default for each that is None.
 
-    Without `draws`, the defaults are the sampler's own: after these draws convergence is first checked.
+    If `draws` is None, the defaults depend on the sampler, and convergence is first checked after these draws.
     """
     from fmu.samplers.kernel import Sampler
 
@@ -50,5 +50,5 @@ def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, i
 
 
 def make_sampler(name: str) -> Sampler:
-    """Return a sampler with its default settings; raise ValueError, with the known names, if `name` is unknown."""
+    """Return a sampler with default settings; raise ValueError, listing the known names, if `name` is unknown."""
     return sampler_class(name)()

@@ -1,4 +1,4 @@
-"""Checks of the samplers' settings, and the description of settings as plain data."""
+"""Checks of the samplers' settings, and their conversion to plain data."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
 
 
 def positive_scale(name: str, value: ArrayLike, *, matrix: bool) -> Scale:
-    """Return a positive number, a vector of positive numbers or a positive definite matrix in hashable form.
+    """Return a positive number, vector of positive numbers or positive definite matrix in hashable form.
 
     Parameters
     ----------
@@ -112,14 +112,14 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 
 def describe(settings: Any) -> dict[str, object]:
-    """Return a dict of a dataclass's fields as JSON-able data; nested dataclasses include their class name."""
+    """Return the fields of a dataclass as JSON-able data; nested dataclasses include their class name."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
     described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described
 
 
 def _make_plain(value: object) -> object:
-    """Return a JSON-able replacement of a value that JSON cannot hold."""
+    """Return a JSON-able equivalent of a value that JSON cannot represent."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
     if isinstance(value, Mapping):
@@ -133,7 +133,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the usual numbers of solves per step of all chains, in the warm-up and after the warm-up.
+    """Return the usual numbers of solves per step of all chains, during and after warm-up.
 
     The numbers are means over the built-in cases.
     """

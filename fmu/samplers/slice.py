@@ -1,4 +1,4 @@
-"""Slice sampling (Neal 2003) by the hyperrectangle method or the coordinate-wise method."""
+"""Slice sampling (Neal 2003) with the hyperrectangle scheme or the coordinate-wise scheme."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from fmu.samplers.settings import fits, one_of, orthonormal, positive_number, po
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 START_WIDTH = 0.5
-"""Width of the initial interval before anything is learnt, in scaled units."""
+"""Width of the initial interval, in scaled units, before anything is learnt."""
 SCHEMES = ("hyperrectangle", "coordinate")
 ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
-"""Names of the counts that a step returns for each chain."""
+"""Names of the quantities that a step counts for each chain."""
 
 
 @check_arguments
@@ -34,22 +34,22 @@ class Slice(LocalSampler):
         "hyperrectangle" moves along all axes at once (section 4.2 of the paper); "coordinate" moves along one axis
         after the other, with stepping-out (section 5 of the paper). One draw is one full sweep over the axes.
     width : float or vector (ndim,), optional
-        Width of the initial interval along each axis, in scaled units. If it is not given, warm-up learns the
-        widths and the axes.
+        Width of the initial interval along each axis, in scaled units. By default, widths and axes are learnt in
+        warm-up.
     axes : None or matrix (ndim, ndim)
-        Directions of the intervals, as orthonormal columns; the coordinate axes if None.
+        Directions of the intervals, as orthonormal columns. If None, the coordinate axes.
     spread : float
-        Width of the interval that adaptation gives an axis, in standard deviations of the target along that axis.
+        Width that adaptation gives to the interval on an axis, in standard deviations of the target along it.
     max_steps_out : int
         Largest number of expansions of one interval by `width` ("coordinate" only): Neal's m is
         ``max_steps_out + 1``.
     max_shrinks : int
-        Largest number of candidates for one interval. A chain that reaches this number stays at its position,
-        which leaves the target invariant. This happens only where rounding hides the slice.
+        Largest number of candidates for one interval. A chain that reaches this number stays where it is, which
+        leaves the target invariant. This happens only where rounding hides the slice.
 
     Notes
     -----
-    Step 3 of section 4.2 is printed with the test Y ≤ P(E_0); the test must use the candidate E_1 instead. A new
+    Step 3 in section 4.2 of the paper prints the test Y ≤ P(E_0), which must use the candidate E_1 instead. A new
     level and a new interval are drawn for every sample.
 
     References
@@ -101,9 +101,9 @@ class Slice(LocalSampler):
 class SliceKernel(LocalKernel):
     """Slice-sampling kernel bound to a density.
 
-    `width` has one entry per axis, and the axes are the columns of `axes`. If every chain has its own widths and
-    axes, their shapes are (chains, ndim) and (chains, ndim, ndim). Intervals are stored as offsets from the
-    present position along the axes, so that offset 0 always lies inside.
+    `width` has one entry per axis, and the axes are the columns of `axes`. If each chain has its own widths and
+    axes, the shapes are (chains, ndim) and (chains, ndim, ndim). Intervals are stored as offsets from the present
+    position along the axes, so offset 0 is always inside.
     """
 
     settings: Slice
@@ -111,7 +111,7 @@ class SliceKernel(LocalKernel):
     axes: FloatArray
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw a point from the slice for every chain: along all axes at once, or along one after the other."""
+        """Draw a point from the slice for every chain: along all axes at once, or along each axis in turn."""
         chains, ndim = state.position.shape
         account = {name: np.zeros(chains, dtype=np.int64) for name in ACCOUNT}
         x, log_prob = state.position, state.log_prob
@@ -129,12 +129,12 @@ class SliceKernel(LocalKernel):
         return State(x, log_prob), Info(moved, log_prob, n_solves, np.zeros_like(n_solves), account)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for the chains of all `kernels`, with its own widths and axes for every chain."""
+        """Return one kernel for the chains of all `kernels`, with separate widths and axes for each chain."""
         width, axes = [kernel.width for kernel in kernels], [kernel.axes for kernel in kernels]
         return replace(self, width=np.repeat(width, chains, axis=0), axes=np.repeat(axes, chains, axis=0))
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
-        """Return the left and right ends of initial intervals, placed at random around 0, (2, chains, axes)."""
+        """Return the left and right ends, (2, chains, axes), of initial intervals placed at random around 0."""
         left = -width * rng.random((chains, width.shape[-1]))
         return np.stack([left, left + width])
 
@@ -147,11 +147,11 @@ class SliceKernel(LocalKernel):
         interval: FloatArray,
         account: dict[str, IntArray],
     ) -> FloatArray:
-        """Return the ends of the intervals along axis `i`, stepped out of the slice (Neal 2003, figure 3).
+        """Return the ends of the intervals along axis `i` after stepping out (Neal 2003, figure 3).
 
         Each end is moved outwards until it is off the slice or its budget is used up. The budget is split between
-        left and right beforehand, so that both ends and all chains can advance together. An end beyond the bounds
-        counts as off the slice and costs no solve.
+        left and right in advance, so both ends and all chains can advance together. An end outside the bounds
+        counts as off the slice and takes no solve.
         """
         ends = interval[:, :, 0]
         outward = np.multiply.outer([-1.0, 1.0], np.broadcast_to(self.width[..., i], len(x)))
@@ -181,11 +181,11 @@ class SliceKernel(LocalKernel):
         axes: FloatArray,
         account: dict[str, IntArray],
     ) -> tuple[FloatArray, FloatArray]:
-        """Draw from the intervals, which shrink towards offset 0 at every miss (Neal 2003, figures 5 and 8).
+        """Draw from the intervals, shrinking them towards offset 0 at every miss (Neal 2003, figures 5 and 8).
 
-        Return the new positions, shape (chains, ndim), and their log-densities, shape (chains,). The intervals are
-        first cut where every candidate beyond would be outside the bounds. Chains that have hit the slice wait for
-        the other chains and are not evaluated again.
+        Return the new positions, shape (chains, ndim), and their log-densities, shape (chains,). The parts of the
+        intervals in which every candidate would be outside the bounds are first cut off. Chains that have hit the
+        slice wait for the other chains and are not evaluated again.
         """
         left, right = self._cut(x, ends, axes)
         new, new_log_prob = x.copy(), log_prob.copy()
@@ -206,7 +206,7 @@ class SliceKernel(LocalKernel):
         return new, new_log_prob
 
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the left and right ends, cut at the bounds of each coordinate that only one axis moves."""
+        """Return the left and right ends, cut at the bounds of each coordinate that is moved by one axis only."""
         left, right = ends[0].copy(), ends[1].copy()
         if axes.ndim == 3:  # each chain's own axes, learnt and so oblique: cut only a single axis
             return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
@@ -225,7 +225,7 @@ class SliceKernel(LocalKernel):
 
 
 class SliceTuner:
-    """Tuner of axes and widths: the principal axes of the covariance, and a few standard deviations along each.
+    """Tuner that uses the principal axes of the covariance, with widths of a few standard deviations.
 
     Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
     """
@@ -265,14 +265,14 @@ class SliceTuner:
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
-    """Return the displacements (n, ndim) from offsets (n, axes) along shared axes, or along each chain's own."""
+    """Return displacements (n, ndim) for offsets (n, axes) along axes that are shared or differ by chain."""
     return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
 
 
 def _cut_line(
     target: Target, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the ends (chains, 1) of intervals along one axis per chain (chains, ndim, 1), cut at the bounds."""
+    """Return the interval ends (chains, 1), cut at the bounds, with one axis per chain (chains, ndim, 1)."""
     slope = axes[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):  # a wall that is never met
         walls = np.stack([target.lower - x, target.upper - x]) / slope

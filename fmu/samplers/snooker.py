@@ -11,9 +11,9 @@ from fmu.types import FloatArray
 class SnookerMove(RedBlueMove):
     """Move along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
 
-    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). emcee's own
-    ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the exponent, which does
-    not leave the target invariant; hence this class.
+    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). This class exists
+    because emcee's own ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the
+    exponent, which does not leave the target invariant.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class SnookerMove(RedBlueMove):
     ) -> tuple[FloatArray, FloatArray]:
         """Return candidates for the walkers `s`, shape (n, ndim), and the logarithms of their acceptance factors.
 
-        Each candidate uses three different walkers of `c`, the rest of the ensemble.
+        Each candidate uses three different walkers from `c`, the rest of the ensemble.
         """
         rest = np.concatenate(c, axis=0)
         n, ndim = s.shape

@@ -1,4 +1,4 @@
-"""Hamiltonian trajectories in a box: the kinetic energy, gradients, reflection at the walls, leapfrog steps."""
+"""Hamiltonian trajectories in a box: kinetic energy, gradients, reflection at the walls, and leapfrog steps."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ DIVERGENCE = 1000.0
 class Metric:
     """Kinetic energy W(p) = pᵀ M⁻¹ p / 2, with momenta p ~ N(0, M).
 
-    The best inverse mass is the covariance of the target, as correlations then do not slow the sampler down.
+    The best inverse mass is the covariance of the target, because correlations then do not slow the sampler down.
 
     Parameters
     ----------
     inverse : ndarray, shape (ndim, ndim) or (chains, ndim, ndim)
         M⁻¹, shared by all chains, or one matrix per chain.
     inverse_factor : ndarray, shape of `inverse`
-        L⁻¹ with M⁻¹ = L Lᵀ.
+        L⁻¹, where M⁻¹ = L Lᵀ.
     """
 
     inverse: FloatArray
@@ -39,7 +39,7 @@ class Metric:
 
     @classmethod
     def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
-        """Return the metric of an inverse mass: None for the identity, a number or vector for a diagonal matrix.
+        """Return the metric for an inverse mass: None for the identity, a number or vector for a diagonal matrix.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Slope(NamedTuple):
     Attributes
     ----------
     log_prob : ndarray, shape (n,)
-        NaN if the log-density was not asked for and would have cost extra.
+        NaN if the log-density was not requested and would have taken extra solves.
     gradient : ndarray, shape (n, ndim)
     finite : ndarray of bool, shape (n,)
         Whether all evaluated values are finite.
@@ -93,14 +93,14 @@ class Slope(NamedTuple):
 
 
 class WithGradient(Target):
-    """Evaluator of a density for the kernels that use its gradient."""
+    """Evaluates a density and its gradient for the kernels that need it."""
 
     @abstractmethod
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
         """Return log-densities and gradients at `position`, shape (n, ndim), for the chains of index `chain`."""
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate density and gradient at the start; raise ValueError if a gradient is not finite."""
+        """Evaluate density and gradient at the starting points; raise ValueError if a gradient is not finite."""
         n, slope = len(positions), self.slope(positions, with_log_prob=True)
         require_finite_gradient(slope.log_prob, slope.finite)
         info = Info(np.zeros(n, dtype=bool), slope.log_prob, slope.n_solves, np.ones(n, dtype=np.int64))
@@ -115,14 +115,14 @@ class WithGradient(Target):
 
 
 def require_finite_gradient(log_prob: FloatArray, finite: BoolArray) -> None:
-    """Raise ValueError naming the first chain whose log-density is finite and whose gradient is not."""
+    """Raise ValueError, naming the first chain, if a log-density is finite but its gradient is not."""
     bad = np.isfinite(log_prob) & ~finite
     if bad.any():
         raise ValueError(f"init: the gradient must be finite at the start (chain {np.flatnonzero(bad)[0]})")
 
 
 class ExactGradient(WithGradient):
-    """Evaluator of a density that has its own gradient, at one solve per point or `solves_per_gradient`."""
+    """Evaluates a density that computes its own gradient, at `solves_per_gradient` solves per point."""
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
         """Return log-densities and gradients at `position`, shape (n, ndim), for the chains of index `chain`."""
@@ -137,11 +137,11 @@ class ExactGradient(WithGradient):
 
 
 class CentralDifference(WithGradient):
-    """Evaluator of a density with central-difference gradients, eq. (15) with V = −log P.
+    """Evaluates a density and its central-difference gradients, eq. (15) of the paper with V = −log P.
 
-    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i). A perturbed point that would leave
-    the box is put on the wall, and the difference is divided by the remaining distance. A gradient costs 2 ndim
-    solves everywhere (it is one-sided at a wall), and the log-density itself costs one more solve.
+    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i). A perturbed point outside the box is
+    moved to the wall, and the difference is divided by the remaining distance. A gradient takes 2 ndim solves
+    everywhere (at a wall it is one-sided), and the log-density takes one more solve.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class CentralDifference(WithGradient):
         self.delta, self.h = delta, h
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Return the gradients from one batch of all perturbed points; all chains have the same density."""
+        """Return the gradients, from one batch with all perturbed points; all chains have the same density."""
         n, ndim = position.shape
         ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
         points = [ends.reshape(-1, ndim)]
@@ -176,14 +176,14 @@ class CentralDifference(WithGradient):
 
 
 class Drift(NamedTuple):
-    """The end of a drift.
+    """State of n points at the end of a drift.
 
     Attributes
     ----------
     position, momentum : ndarray, shape (n, ndim)
     n_bounces : ndarray of int, shape (n,)
     arrived : ndarray of bool, shape (n,)
-        False if the cap on bounces was reached or the position is not finite; the end must then not be used.
+        False if the limit on bounces was reached or the position is not finite; the point must then not be used.
     """
 
     position: FloatArray
@@ -201,11 +201,11 @@ def drift(
     upper: FloatArray,
     max_bounces: IntArray,
 ) -> Drift:
-    """Move every point with velocity v = M⁻¹ p for its duration, and reflect the point at the walls of the box.
+    """Move each point with velocity v = M⁻¹ p for its duration, reflecting it at the walls of the box.
 
     A wall with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This reverses the normal velocity and
-    keeps the kinetic energy; the map is reversible and preserves volume. Under a dense metric a reflection changes
-    the other velocities too. The walls are therefore taken in the order in which the path meets them.
+    conserves the kinetic energy; the map is reversible and preserves volume. With a dense metric, a reflection
+    changes the other velocities too. The walls are therefore treated in the order in which the path meets them.
 
     Parameters
     ----------
@@ -257,9 +257,9 @@ class Trajectory(NamedTuple):
     """Ends of leapfrog trajectories, one per chain.
 
     Position, momentum and gradient have shape (chains, ndim), the other arrays (chains,). Where `finished` is
-    False, the trajectory was abandoned, and its end is meaningless. `n_steps` and `n_solves` count the steps and
-    solves actually performed. `nonfinite` is True where density, gradient, position or momentum were not finite;
-    other abandoned trajectories have reached the cap on bounces.
+    False, the trajectory was abandoned and its end is meaningless. `n_steps` and `n_solves` count the steps and
+    solves actually taken. `nonfinite` is True where density, gradient, position or momentum became non-finite;
+    other abandoned trajectories reached the limit on bounces.
     """
 
     position: FloatArray
@@ -328,10 +328,10 @@ class HamiltonianKernel(LocalKernel):
             return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
 
     def integrate(self, state: State, momentum: FloatArray, step_size: FloatArray) -> Trajectory:
-        """Follow `n_steps` leapfrog steps from `state`, all chains in lockstep, reflecting at the bounds.
+        """Take `n_steps` leapfrog steps from `state` with all chains in lockstep, reflecting them at the bounds.
 
-        A trajectory is abandoned at the cap on bounces, and where density or gradient are not finite. Its chain
-        then waits for the other chains and is not evaluated again.
+        A trajectory is abandoned if it reaches the limit on bounces, or where density or gradient are not finite.
+        Its chain then waits for the other chains and is not evaluated again.
 
         Parameters
         ----------
@@ -381,7 +381,7 @@ class HamiltonianKernel(LocalKernel):
 
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the time to the next wall, infinite if there is none, and the wall's coordinate, both (n,)."""
+    """Return the time to the next wall, infinite if there is none, and the coordinate it bounds, both (n,)."""
     # the coordinates move independently between walls: t_i = (wall ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0
@@ -391,7 +391,7 @@ def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArra
 
 
 def _rows(x: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return xᵀ A for every row x, with one matrix A (m, m) for all rows or one per row, (n, m, m)."""
+    """Return xᵀ A for each row x, where A is one matrix (m, m) for all rows or one per row, (n, m, m)."""
     return x @ matrix if matrix.ndim == 2 else np.einsum("ni,nij->nj", x, matrix)
 
 

@@ -1,4 +1,4 @@
-"""`fmu.sample`, which draws from the posterior of a problem and returns the trace."""
+"""`fmu.sample`, which draws from the posterior of a problem and returns a trace."""
 
 from __future__ import annotations
 
@@ -72,67 +72,68 @@ def sample(
     Parameters
     ----------
     problem : LogDensity
-        An `UpdatingProblem`, or any object with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
-        ``log_prob_and_grad``.
+        An `UpdatingProblem`, or any object with ``ndim``, ``lower``, ``upper``, ``log_prob`` and, if the sampler
+        needs exact gradients, ``log_prob_and_grad``.
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
-        default is the mixture, which gave the most effective draws per evaluation on all posteriors and densities
-        compared. For a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests, or
-        ``"hmc"`` if the model has a discrepancy.
+        default is the mixture, which gave the largest effective sample size per evaluation in all comparisons. For
+        a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests, or ``"hmc"`` if the
+        model has a discrepancy.
     draws, warmup : int
-        Number of steps kept, and number of warm-up steps before them. At each step kept, an ensemble gives as many
-        draws as it has walkers.
+        Number of steps that are kept, and number of warm-up steps before them. Each kept step of an ensemble gives
+        one draw per walker.
     chains : int
         Number of independent chains or, for an ensemble sampler, of independent ensembles.
     seed : int
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`); on a log-density that is not an `UpdatingProblem`, the chains
-        start from its prior if it has a prior and does not have several maxima. ``"prior"``: at draws from the
-        prior. ``"start"``: at ``problem.start``. An array: at these points (SI units).
+        probability (`fmu.analysis.maxima.starts`). If `problem` is not an `UpdatingProblem`, has a prior and does
+        not have several maxima, the chains then start at draws from the prior. ``"prior"``: at draws from the
+        prior. ``"start"``: at ``problem.start``. An array: at these points, in SI units.
     jumps : bool, optional
-        Whether every other step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
-        that is fitted to the posterior in warm-up, so that chains cross between separated maxima
+        Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
+        that is fitted to the posterior in warm-up. Chains then cross between separated maxima
         (`fmu.samplers.mixture.mixture.with_jumps`). By default True if at least two maxima have 1 % of the
         probability each, or if several maxima are known and the chains do not start at them.
     groups : int, optional
-        Number of groups that the chains are divided into, for several workers. The chains of a group advance and
-        adapt together, so the draws depend on this number. By default all chains form one group, and each ensemble
-        is a group of its own.
+        Number of groups into which the chains are divided for several workers. The chains of a group advance and
+        are tuned together, so the draws depend on this number. By default all chains form one group, and each
+        ensemble is a group of its own.
     until_ess : float, optional
-        If given, sampling continues after `draws`, with the settings adapted in warm-up, until the verdict of
-        `fmu.diagnose` is good and the bulk and tail ESS of every parameter are at least this. The number of
-        missing draws is predicted from the draws so far (`fmu.analysis.convergence.remedies.draws_to_come`). The
-        draws are, bit for bit, the same as in a run with `draws` set to the final number. An ensemble sampler
-        always needs at least 50 autocorrelation times of steps; four ensembles of 32 walkers then have an ESS of
-        at least 6400.
+        If given, sampling continues after `draws`, with the settings learnt in warm-up, until the verdict of
+        `fmu.diagnose` is good and every parameter has at least this bulk and tail ESS. The number of missing draws
+        is predicted from the draws so far (`fmu.analysis.convergence.remedies.draws_to_come`). The draws are the
+        same, bit for bit, as in a run with `draws` set to the final number. An ensemble sampler always needs a
+        number of steps of at least 50 autocorrelation times; four ensembles of 32 walkers then have an ESS of at
+        least 6400.
     max_draws : int, optional
-        Largest number of steps kept, whatever the verdict. Default: 32 times `draws`, or no limit if `max_solves`
-        is given.
+        Largest number of steps that are kept, whatever the verdict. Defaults to 32 times `draws`, or to no limit
+        if `max_solves` is given.
     max_solves : int, optional
         Approximate largest number of solves, including warm-up. If the sampler usually needs more solves for
         `warmup` and `draws`, both are shortened. The verdict reports this, and any excess over the limit.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
-        the maxima are searched for, wherever the chains start, except in a hierarchical posterior.
+        `fmu.sample` searches for the maxima, wherever the chains start, except in a hierarchical posterior.
     checkpoint : path-like or Checkpoint, optional
-        A directory in which the draws and the sampler's state are saved during the run. The same call with the
-        same directory resumes a run that was stopped or killed. A finished run is read from it, not repeated.
+        A directory in which the draws and the state of the sampler are saved during the run. The same call with
+        the same directory resumes a run that was stopped or killed. A finished run is read from the directory and
+        not repeated.
     workers : int, str or Engine
-        Number of processes on this machine that advance the groups, and solve the full model for the certificate;
+        Number of processes on this machine that advance the groups and solve the full model for the certificate;
         or the address of the scheduler of a Dask cluster, ``"tcp://host:port"``; or an engine from `fmu.engine`.
     max_failure_rate : float
-        The run stops when more than this fraction of the solves has failed. With 1 it never stops for failures.
+        The run stops when more than this fraction of the solves has failed. If 1, failures never stop the run.
     progress : bool or callable, optional
         Whether to draw progress bars on a terminal or in a notebook. By default only in a notebook. A callable
-        replaces the bars: it is called after every step as ``progress(phase, done, total, info)``, see
+        replaces the bars: it is called after every step as ``progress(phase, done, total, info)``; see
         `fmu.samplers.Run`. It is also called in the long phases before and after the draws, such as ``"search"``
         and ``"predictions"``, with the number of solves in the phase in ``info["solves"]``.
     on_draws : callable, optional
-        Called with the trace when all draws have been made, before the analyses that need further solves: the
-        certificate, the mode shapes and leave-one-out. `fmu.diagnose` can already judge the trace.
+        Called with the trace after the last draw, before the analyses that need further solves: the certificate,
+        the mode shapes and leave-one-out. `fmu.diagnose` can already judge this trace.
 
     Returns
     -------
@@ -140,23 +141,24 @@ def sample(
         The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
         number of solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
         gradient relative to that of a log-probability, if the sampler uses exact gradients; the certificate of the
-        reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, the limit in words at
-        which a run with `until_ess` ended before its verdict was good. The trace of an updating problem also has
-        the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
+        reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, which states the limit
+        at which a run with `until_ess` ended before its verdict was good. The trace of an updating problem also
+        has the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
         ``identifiability`` (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`).
 
     Raises
     ------
     ValueError
-        If the sampler's name is unknown, `jumps` is True for a sampler without local steps, a trace cannot store a
-        parameter's name, a number is out of range, `max_draws` or `max_solves` is given without `until_ess`, a
-        chain would start outside the bounds or where the log-probability is not finite, or `checkpoint` holds
-        another run or a run that is still going on.
+        If the name of the sampler is unknown, the sampler needs gradients that `problem` lacks, `jumps` is True
+        for a sampler without local steps, a trace cannot store the name of a parameter, or a number is out of
+        range. Also if `max_draws` or `max_solves` is given without `until_ess`, a chain would start outside the
+        bounds or where the log-probability is not finite, or `checkpoint` contains another run or one that is
+        still running.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
-        If Ctrl-C or SIGTERM stopped the draws of a run with a checkpoint. This KeyboardInterrupt has the trace so
-        far, without the analyses that need further solves. A stop after the draws raises a plain
+        If Ctrl-C or SIGTERM stopped a run with a checkpoint before its last draw. This KeyboardInterrupt has the
+        trace so far, without the analyses that need further solves. A stop after the last draw raises a plain
         KeyboardInterrupt; the draws are saved.
     TooManyFailuresError
         If the fraction of failed solves exceeds `max_failure_rate`.
@@ -186,8 +188,8 @@ def sample(
 def default_sampler(problem: LogDensity) -> str:
     """Return the name of the default sampler for a problem.
 
-    For a hierarchical posterior the name is ``"gibbs"``: such a posterior has parameters for every test, too
-    many for fitting a mixture. With a discrepancy, which couples the tests, it is ``"hmc"``.
+    For a hierarchical posterior it is ``"gibbs"``, because each test adds parameters, too many to fit a mixture.
+    With a discrepancy, which couples the tests, it is ``"hmc"``.
     """
     from fmu.analysis.maxima.search import is_searchable
     from fmu.posterior.problem import UpdatingProblem
@@ -206,7 +208,7 @@ DEFAULTS: Mapping[str, Any] = {
 
 
 def _settings_of(sampler: str | Sampler) -> Sampler:
-    """Return the settings of a sampler; raise ValueError unless `sampler` is a known name or a settings object."""
+    """Return the sampler's settings; raise ValueError unless `sampler` is a known name or a settings object."""
     from fmu.samplers.kernel import Sampler
     from fmu.samplers.registry import make_sampler
 
@@ -231,7 +233,7 @@ def _check(
     groups: Any,
     seed: Any,
 ) -> dict[str, int]:
-    """Return a dict of the numbers that determine a run; raise ValueError if an argument is invalid."""
+    """Return the numbers that determine the draws of a run; raise ValueError if an argument is invalid."""
     import numpy as np
 
     from fmu.analysis.trace.densities import names_of

@@ -1,4 +1,4 @@
-"""The limits of a run: the number of draws, the number of solves, and the effective sample size to be reached."""
+"""The limits of a run: the number of draws, the number of solves, and the effective sample size to reach."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Limits(NamedTuple):
     until_ess : float or None
         Effective sample size at which the run ends. If it is None, the run ends after `first` steps.
     draws, solves : int or None
-        Largest number of steps, and largest number of solves; None for no limit.
+        Largest number of steps, and of solves; None if there is no limit.
     """
 
     first: int
@@ -52,16 +52,16 @@ class Limits(NamedTuple):
         return cls(draws, until_ess, max_draws, max_solves)
 
     def shorten(self, warmup: int, costs: tuple[float, float]) -> tuple[int, Limits]:
-        """Return the steps of warm-up and the limits, with both numbers of steps reduced to fit within `solves`.
+        """Return the number of warm-up steps and the limits, with steps reduced if they would exceed `solves`.
 
-        The steps of warm-up and `first` are reduced by the same factor.
+        The number of warm-up steps and `first` are reduced by the same factor.
 
         Parameters
         ----------
         warmup : int
-            Planned steps of warm-up.
+            Planned number of warm-up steps.
         costs : tuple of two float
-            Solves per step in warm-up, and after it; see `fmu.samplers.settings.usual_costs`.
+            Solves per step during and after warm-up; see `fmu.samplers.settings.usual_costs`.
         """
         planned = warmup * costs[0] + self.first * costs[1]
         if self.solves is None or planned <= self.solves:
@@ -70,9 +70,9 @@ class Limits(NamedTuple):
         return int(part * warmup), self._replace(first=max(int(part * self.first), 1))
 
     def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
-        """Return the number of steps to draw first, after a warm-up of `warmup` steps with `solves` solves.
+        """Return the number of steps to draw first, after `warmup` warm-up steps that took `solves` solves.
 
-        If a step of this warm-up cost more solves than usual, a step after it is assumed to cost more by the same
+        If these took more solves per step than usual, the steps after warm-up are assumed to do so by the same
         factor.
         """
         if self.solves is None:
@@ -81,10 +81,10 @@ class Limits(NamedTuple):
         return max(min(self.first, int((self.solves - solves) / (dearer * costs[1]))), 1)
 
     def allow(self, result: RunResult) -> tuple[int, str]:
-        """Return the number of further steps allowed, and the limit reached in words (empty if steps are allowed).
+        """Return the number of further steps allowed, and the limit in words if it is reached, else "".
 
-        Each further step is assumed to need as many solves as the steps so far on average. If the remaining solves
-        suffice for at most 1 % more steps, no further step is allowed.
+        Each further step is assumed to take the average number of solves of the steps so far. If the remaining
+        solves suffice for at most 1 % more steps, no further step is allowed.
         """
         allowed = []
         if self.draws is not None:
@@ -98,9 +98,9 @@ class Limits(NamedTuple):
         return steps, "" if steps else limit
 
     def describe_excess(self, result: RunResult, planned_warmup: int) -> str:
-        """Return a text on a shortened warm-up, and on an excess of more than 1 % over the limit of solves.
+        """Describe a shortened warm-up, and an excess of more than 1 % over the limit on solves.
 
-        The string is empty if neither occurred.
+        The text is empty if neither occurred.
         """
         if self.solves is None:
             return ""

@@ -1,4 +1,4 @@
-"""Comparison of models of the same data, sampled where that has not been done yet."""
+"""Comparison of models of the same data, which are first sampled if there are no draws yet."""
 
 from __future__ import annotations
 
@@ -27,35 +27,37 @@ def compare_models(
     Parameters
     ----------
     models : mapping of str to UpdatingProblem or xarray.DataTree
-        A problem is sampled here, as by ``fmu.sample(problem, until_ess=until_ess, seed=seed)``; a trace has been.
+        A problem is sampled with ``fmu.sample(problem, until_ess=until_ess, seed=seed)``; a trace is used as it
+        is.
     until_ess : float
-        Smallest effective sample size of problems that are sampled here.
+        Effective sample size that each sampled problem must reach.
     seed : int
 
     Returns
     -------
     ModelComparison
-        Its ``table`` is a `pandas.DataFrame` with one row per model, its ``sentences`` say what the table shows:
+        Its ``table`` is a `pandas.DataFrame` with one row per model, and its ``sentences`` interpret the table:
 
-        - ``log_evidence``, ``error``: log of the evidence and its standard error (`fmu.evidence`, or by the masses
-          of the maxima), NaN if unknown; a sentence gives the reason;
-        - ``difference``: to the largest log-evidence;
+        - ``log_evidence``, ``error``: log of the evidence and its standard error (from `fmu.evidence`, or from the
+          masses of the maxima); NaN if unknown, for a reason that a sentence gives;
+        - ``difference``: difference from the largest log-evidence;
         - ``probability``: posterior probability of the model, if all models with an evidence were equally probable
           before the test;
-        - ``n_parameters``: number of parameters, inferred standard deviations included;
+        - ``n_parameters``: number of parameters, including inferred standard deviations;
         - ``held_out``: number of modes that every model predicts from the other modes (`fmu.leave_one_out`);
-        - ``inside``: how many of them lie in their 90 % predictive intervals;
-        - ``sum_z2``: Σ z² of these modes, with z the error of the prediction in standard deviations;
+        - ``inside``: number of these modes that lie in their 90 % predictive intervals;
+        - ``sum_z2``: Σ z² over these modes, where z is the error of the prediction in standard deviations;
         - ``elpd``, ``elpd_se``: their log predictive density, and its standard error over the modes;
         - ``p``: probability of a larger χ² of the residuals if the model is right (`fmu.diagnose`);
         - ``verdict``: whether the data contradict the model;
-        - ``converged``, ``wall_s``: whether the draws have converged, and their time in seconds, warm-up included.
+        - ``converged``, ``wall_s``: whether the draws have converged, and the time they took in s, including
+          warm-up.
 
     Raises
     ------
     ValueError
-        If there are fewer than two models, or they are not of the same measured data, of which the same quantities
-        are compared: evidences of different data cannot be compared.
+        If there are fewer than two models, or they do not use the same quantities of the same measured data.
+        Evidences of different data cannot be compared.
 
     References
     ----------

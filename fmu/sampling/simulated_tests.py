@@ -1,4 +1,4 @@
-"""Simulated tests of a plan that are really updated, which show what its linearised accuracy is worth."""
+"""Updates with simulated tests of a plan, which show how good its linearised accuracy is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fmu.sampling.simulated_updates import SimulatedTests, Updates, summarise_up
 from fmu.types import FloatArray
 
 ENOUGH = 400.0
-"""Effective draws of every parameter at which an update ends."""
+"""Number of effective draws of every parameter at which an update ends."""
 _MOST = 20  # times as many draws at most
 
 
@@ -38,23 +38,23 @@ def simulate_plan(
     draws: Draws = 200,
     seed: Seed = 1,
 ) -> SimulatedTests:
-    """Simulate tests as planned, update the parameters with each, and compare real with expected accuracy.
+    """Simulate tests as planned, update the parameters with each, and compare the real with the expected accuracy.
 
-    A test has frequencies and shapes of the model at a draw from the prior, with random errors. The update pairs
-    modes as the plan does and uses the same reduced model, so that it takes seconds.
+    A test consists of the frequencies and shapes of the model at a draw from the prior, with random errors. The
+    update pairs modes as in the plan and uses the same reduced model, so it takes only seconds.
 
     Parameters
     ----------
     plan : Plan
-        Of `fmu.plan` for a problem of one test, without a trace and a decision about damage.
+        A result of `fmu.plan` for a problem with one test, without a trace and without a decision about damage.
     tests : int
-        Number of simulated tests of each choice of sensors. The same parameters and random numbers are used for
-        all choices.
+        Number of simulated tests for each choice of sensors. All choices use the same parameters and random
+        numbers.
     choices : sequence of str, optional
-        Rows of ``plan.choices`` to compare with the plan; effective independence and the smallest AutoMAC by
-        default.
+        Rows of ``plan.choices`` to compare with the plan. Defaults to effective independence and the smallest
+        AutoMAC.
     draws : int
-        Draws of each of four chains, and more until the effective draws of every parameter are 400.
+        Number of draws of each of four chains; sampling continues until every parameter has 400 effective draws.
     seed : int
 
     Returns
@@ -101,7 +101,7 @@ def simulate_plan(
 
 
 def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
-    """Return the plan's model with the measured modes at the sensors of a choice only, for an update."""
+    """Return the plan's model with the measured modes at only the sensors of a choice, for an update."""
     there, whole = plan.design.candidates, plan.design.found.model
     rows = there.rows(every)
     if isinstance(whole, ReducedStructure | PairedStructure):
@@ -113,7 +113,10 @@ def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
 
 
 def _reduce(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStructure | PairedStructure:
-    """Return the plan's reduced model, used everywhere within the bounds, or one that is trained there."""
+    """Return the plan's reduced model, extended to all of the bounds, or one that is trained there.
+
+    The model is returned unchanged if a displacement has neither stiffness nor mass at a bound.
+    """
     lower, upper = training_box(plan.problem.parameters[: whole.n_parameters])
     if isinstance(whole, ReducedStructure):
         return whole.extend(lower, upper)
@@ -132,9 +135,9 @@ def simulated_problem(
     ----------
     plan : Plan
     model : ModalModel
-        Of `model_of` for the same choice.
+        The result of `model_of` for the same choice.
     every : sequence of int
-        The candidates of the test, mounted ones included.
+        Indices of the candidates that the test uses, including those that are already mounted.
     rng : Generator
     theta : ndarray, shape (p,)
         True parameters.

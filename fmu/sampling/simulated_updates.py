@@ -1,4 +1,4 @@
-"""Real accuracy of updates with simulated tests beside the expected one, and the reason where they differ."""
+"""Real and expected accuracy of updates with simulated tests, and the reasons where they differ."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 AGREES = (0.7, 1.4)
-"""Ratios of the real to the expected standard deviation that count as agreement."""
+"""Range of the ratio of real to expected standard deviation that counts as agreement."""
 TRUTH, NOISE = "true values", "noise"
 BOUNDS, CROSSING, BENT, SHORT = "bounds", "modes cross", "bent posterior", "not converged"
 REASONS = {
@@ -38,19 +38,19 @@ _OFTEN = 0.05  # share of draws near a bound, or with modes in another order, th
 
 
 class Update(NamedTuple):
-    """An update with one simulated test.
+    """Accuracy of an update with one simulated test.
 
     Attributes
     ----------
     real : ndarray, shape (p,)
-        Posterior standard deviations, SI units.
+        Posterior standard deviations, in SI units.
     at_truth, at_mean : ndarray, shape (p,)
         Standard deviations of the posterior linearised at the true parameters, and at its own mean.
     at_bounds : ndarray, shape (p,)
-        Share of the draws close to a bound.
+        Share of the draws that are close to a bound.
     skewness : ndarray, shape (p,)
     crossed : float
-        Share of the draws at which the measured modes have another order than at the true parameters.
+        Share of the draws at which the measured modes are in a different order from that at the true parameters.
     converged : bool
     """
 
@@ -64,7 +64,7 @@ class Update(NamedTuple):
 
 
 def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatArray, scale: FloatArray) -> Update:
-    """Return the summary of a run of one simulated test.
+    """Return the accuracy of the update with one simulated test.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
 
 @dataclass(frozen=True, eq=False)
 class Updates:
-    """Updates with all simulated tests of one choice of sensors, with the attributes of `Update` stacked.
+    """Updates with all simulated tests for one choice of sensors, with the attributes of `Update` stacked.
 
     Attributes
     ----------
@@ -119,10 +119,10 @@ class Updates:
         return cls(**{one.name: np.array([getattr(u, one.name) for u in updates]) for one in fields(cls)})
 
     def explain(self, test: int, k: int, expected: float) -> dict[str, object]:
-        """Return the row of `SimulatedTests.cases` for parameter `k` in a test, given its expected sd.
+        """Return the row of `SimulatedTests.cases` for parameter `k` in a test; `expected` is its expected sd.
 
-        real/expected = (at_truth/expected) (at_mean/at_truth) (real/at_mean): the factor that is furthest from 1
-        names the reason. The last one is due to bounds, crossing modes, or another departure from a Gaussian.
+        real/expected = (at_truth/expected) (at_mean/at_truth) (real/at_mean). The factor that is furthest from 1
+        gives the reason. The last factor is due to bounds, crossing modes, or another departure from a Gaussian.
         """
         truth, mean, real = self.at_truth[test, k], self.at_mean[test, k], self.real[test, k]
         factors = np.array([truth / expected, mean / truth, real / mean])
@@ -148,9 +148,9 @@ class SimulatedTests:
     names : tuple of str
         Names of the parameters.
     expected : dict of str to ndarray, shape (p,)
-        Expected standard deviations of each choice of sensors, SI units.
+        Expected standard deviations for each choice of sensors, in SI units.
     updates : dict of str to Updates
-        Updates with the simulated tests of each choice.
+        Updates with the simulated tests for each choice.
     """
 
     names: tuple[str, ...]
@@ -158,11 +158,11 @@ class SimulatedTests:
     updates: Mapping[str, Updates]
 
     def ratios(self, choice: str = PLANNED) -> FloatArray:
-        """Return the real divided by the expected standard deviations of a choice, shape (n_tests, p)."""
+        """Return the ratios of real to expected standard deviations for a choice, shape (n_tests, p)."""
         return self.updates[choice].real / self.expected[choice]
 
     def table(self) -> pd.DataFrame:
-        """Return a table of the ratios real/expected: their median and 90 % band, a row per choice."""
+        """Return a table with the median and 90 % band of the ratios real/expected, with one row per choice."""
         rows = []
         for name, one in self.updates.items():
             low, middle, high = np.quantile(self.ratios(name), [0.05, 0.5, 0.95])
@@ -171,12 +171,15 @@ class SimulatedTests:
         return data_frame(rows, "choice", list(self.updates))
 
     def cases(self) -> pd.DataFrame:
-        """Return a table of the tests of the plan in which a parameter's ratio is outside 0.7 to 1.4, worst first.
+        """Return a table of the planned tests in which a parameter's ratio is outside 0.7 to 1.4, worst first.
 
-        Columns: ``test`` (from 1), ``parameter``, ``ratio``; the three factors of the ratio: ``true values``, the
-        sd linearised at the true parameters over the expected one, ``noise``, the sd linearised at the posterior
-        mean over that, ``shape``, the real sd over that; ``at_bounds``, the share of draws close to a bound;
-        ``skewness``; ``crossed``, the share of draws with modes in another order; ``reason``.
+        The columns are ``test`` (from 1), ``parameter`` and ``ratio``; the three factors of the ratio, described
+        below; ``at_bounds``, the share of draws close to a bound; ``skewness``; ``crossed``, the share of draws
+        with modes in another order; and ``reason``.
+
+        The first factor, ``true values``, is the standard deviation linearised at the true parameters relative to
+        the expected one. ``noise`` is the one linearised at the posterior mean relative to the former. ``shape``
+        is the real one relative to the latter.
         """
         ratios, updates = self.ratios(), self.updates[PLANNED]
         off = np.argwhere((ratios < AGREES[0]) | (ratios > AGREES[1]) | np.isnan(ratios))
@@ -191,7 +194,7 @@ class SimulatedTests:
         )
 
     def sentences(self) -> list[str]:
-        """Return sentences on where expected and real accuracy agree, and why they do not."""
+        """Return sentences that say whether expected and real accuracy agree and, if not, why."""
         ratios, cases = self.ratios(), self.cases()
         low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
         said = [

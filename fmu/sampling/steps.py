@@ -1,4 +1,4 @@
-"""The steps of `fmu.sample`: choose where the chains start, draw, convert to a trace, and analyse the draws."""
+"""The steps of `fmu.sample`: choose starting points, draw, convert to a trace, and analyse the draws."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _SHORTENED = "warmup_shortened_to"
 
 
 class StoppedRun(KeyboardInterrupt):
-    """Exception for a run that was stopped on request and can be resumed from its checkpoint.
+    """Raised when a run is stopped on request and can be resumed from its checkpoint.
 
     Attributes
     ----------
     trace : xarray.DataTree or None
-        The trace of the draws so far; None if the run was in warm-up.
+        The trace of the draws so far; None if the run was still in warm-up.
     where : str
         The point at which the run was stopped, in words.
     """
@@ -48,16 +48,16 @@ class Task(NamedTuple):
     ----------
     problem : LogDensity
     numbers : dict
-        The numbers that determine a run: steps of warm-up as requested, chains, groups and seed.
+        The numbers that determine the draws: requested warm-up steps, chains, groups and seed.
     limits : Limits
     saved : Checkpoint or None
     max_failure_rate : float
     full_solves : int
         Number of points at which the full model was solved before the run, if there is a reduced model.
     warmup : int
-        Steps of warm-up that the limits allow.
+        Number of warm-up steps that the limits allow.
     costs : tuple of two float
-        Usual number of solves for one step of all chains, in warm-up and after it.
+        Usual number of solves for one step of all chains, during and after warm-up.
     """
 
     problem: Any
@@ -101,7 +101,7 @@ class Task(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """The chains' starting points and the sampler's settings; `is_new` is True if the maxima were just found."""
+    """Starting points and settings of a run; `is_new` is True if the maxima have just been found."""
 
     settings: Sampler
     starts: Starts
@@ -112,7 +112,7 @@ class Beginning(NamedTuple):
 def begin(
     task: Task, settings: Sampler, init: str | ArrayLike, jumps: bool | None, maxima: Maxima | None
 ) -> Beginning:
-    """Search for the maxima unless they are known, and return the starting points and settings of the chains."""
+    """Search for the maxima unless they are known; return the starting points and settings of the chains."""
     from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
@@ -138,13 +138,13 @@ def begin(
 
 
 def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine) -> tuple[RunResult, str]:
-    """Draw, and save to the checkpoint, until the verdict or a limit ends the run.
+    """Make draws, saving them to the checkpoint, until the verdict or a limit ends the run.
 
     Returns
     -------
     result : RunResult
     limit : str
-        The limit that ended the run, in words; empty if no limit did.
+        The limit that ended the run, in words; empty if there was none.
 
     Raises
     ------
@@ -233,8 +233,7 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
 def examine(task: Task, beginning: Beginning, trace: xr.DataTree, engine: Engine) -> xr.DataTree:
     """Return the trace with the certificate, the modes, their pairing, identifiability and leave-one-out added.
 
-    Full models are solved by the engine. The trace of a problem that is not an updating problem is returned
-    unchanged.
+    The engine solves the full models. If the problem is not an updating problem, its trace is returned unchanged.
     """
     from fmu.analysis.certificate import certify
     from fmu.analysis.frf.certificate import certify_frfs
@@ -269,7 +268,7 @@ def _as_trace(
 
 
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
-    """Return the open checkpoint of a run."""
+    """Return the opened checkpoint of a run."""
     from fmu.analysis.trace.densities import names_of, units_of
     from fmu.analysis.trace.provenance import describe_inputs
     from fmu.runs.identity import Identity
@@ -285,7 +284,7 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
 
 
 def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
-    """Return the steps of warm-up of the run in a checkpoint if `asked` is the same there; else `warmup`."""
+    """Return the warm-up steps of the run in a checkpoint if it was started with `asked`; otherwise `warmup`."""
     from fmu.durable_files import DamagedError
     from fmu.runs.identity import Identity
 
@@ -308,9 +307,9 @@ def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
 
 
 def _takes_exact_gradients(trace: xr.DataTree, problem: LogDensity, settings: Sampler) -> bool:
-    """Return True if the run used exact gradients whose cost exceeds the solves counted for them.
+    """Return True if the run used exact gradients that cost more than the solves counted for them.
 
-    Finite differences consist of counted solves, and a user's function returns value and gradient in one call.
+    All solves of finite differences are counted, and a user's function returns value and gradient in one call.
     """
     from fmu.analysis.trace.densities import is_updating
 

@@ -1,4 +1,4 @@
-"""Limits of the errors of a posterior's moments, from errors of a surrogate's log-probability at a few draws."""
+"""Limits on the errors of posterior moments, from a surrogate's errors in log-probability at a few draws."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fmu.types import FloatArray
 
 LEVEL = 0.95
 HEAVY = 6.0
-"""Assumed kurtosis of errors that are Gaussian with a standard deviation that varies from draw to draw."""
+"""Assumed kurtosis of errors that are Gaussian but whose standard deviation varies from draw to draw."""
 
 _LARGE = 1.0
 _MARGIN = 1.3
 
 
 class ErrorLimits(NamedTuple):
-    """Statistics of the errors e = log p − log p̂ at n draws from p̂, and limits of the posterior's errors.
+    """Statistics of the errors e = log p − log p̂ at n draws from p̂, and limits on the errors of the posterior.
 
     Attributes
     ----------
@@ -29,13 +29,13 @@ class ErrorLimits(NamedTuple):
     sd : float
         Standard deviation of e.
     shift : float
-        Upper limit, with 95 % confidence, of the error of any posterior mean, in posterior standard deviations,
-        and of the relative error of any posterior standard deviation: see `upper_shift`.
+        Upper 95 % confidence limit on the error of any posterior mean, in posterior standard deviations, and on
+        the relative error of any posterior standard deviation; see `upper_shift`.
     largest : float
-        The largest deviation of e from its mean, in absolute value; the mean itself has no effect.
+        Largest absolute deviation of e from its mean; the mean itself has no effect.
     share : float
-        Fraction of the posterior that, with 95 % confidence, has no larger deviation than `largest` (Wilks 1941,
-        *Ann. Math. Stat.* 12, 91–96).
+        Fraction of the posterior in which, with 95 % confidence, no deviation exceeds `largest` (Wilks 1941, *Ann.
+        Math. Stat.* 12, 91–96).
     """
 
     n: int
@@ -49,8 +49,8 @@ class ErrorLimits(NamedTuple):
     def of(cls, errors: FloatArray, draws: FloatArray, posterior: FloatArray, expected: float) -> ErrorLimits:
         """Return the limits for errors (n,), which are not finite where the slow model failed.
 
-        `shift` is the value of `upper_shift`, but at least `expected`, the standard deviation of e over the
-        posterior that the surrogate predicts: a few draws may miss small regions with large errors.
+        `shift` is the larger of `upper_shift` and `expected`, the standard deviation of e over the posterior as
+        predicted by the surrogate, because a few draws may miss small regions with large errors.
         """
         finite = np.isfinite(errors)
         n, n_failed = len(errors), int(np.sum(~finite))
@@ -63,16 +63,17 @@ class ErrorLimits(NamedTuple):
 
 
 def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) -> float:
-    """Return the 95 % upper limit of the changes of posterior means and standard deviations by errors e.
+    """Return the upper 95 % limit on the changes of posterior means and standard deviations due to errors e.
 
     The ratio of the true posterior to the surrogate's is w = exp(e)/E[exp(e)]. With z = (θ − mean)/sd for each
     parameter, the mean changes by Cov(z, w) posterior standard deviations, and the standard deviation, to first
     order, by the relative amount ½ Cov(z², w). The changes of the means are estimated from the draws, with limits
-    by Student's t with Bonferroni's correction. The changes of the standard deviations depend on a few outlying
-    draws, and are therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w) uses
-    the chi-square distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114),
-    ν = 2n/(κ − (n − 3)/(n − 1)), where κ is the larger of the kurtosis of the sample and `HEAVY`. If this limit is
-    too large to estimate the means from a few draws, it is the limit for them as well, as |Cov(z, w)| ≤ sd(w).
+    from Student's t distribution with Bonferroni's correction. The changes of the standard deviations depend on a
+    few outlying draws; they are therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit
+    of sd(w) uses the chi-square distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2,
+    110–114), ν = 2n/(κ − (n − 3)/(n − 1)), where κ is the larger of the kurtosis of the sample and `HEAVY`. If
+    this limit is too large for the means to be estimated from a few draws, it is used for them as well, because
+    |Cov(z, w)| ≤ sd(w).
 
     Parameters
     ----------
@@ -102,16 +103,17 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
 
 
 def largest_sd_shift(posterior: FloatArray) -> float:
-    """Return the largest ½ sd(z²) of a parameter, from draws (N, ndim): a bound of an sd's change over sd(w)."""
+    """Return the largest ½ sd(z²) of any parameter, from draws (N, ndim); times sd(w), it limits sd changes."""
     z = (posterior - posterior.mean(axis=0)) / posterior.std(axis=0)
     return float(0.5 * np.max(np.std(z**2, axis=0)))
 
 
 def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int, most: int) -> int:
-    """Return the number of draws, `fewest` to `most`, for which `upper_shift` likely fits `tolerance`; else 0.
+    """Return the smallest number of draws for which `upper_shift` is likely to be within `tolerance`.
 
-    `sd` is the expected standard deviation of the errors. As a margin, the sample's standard deviation is assumed
-    to be larger by the factor `_MARGIN`, and the changes of the means to be as many standard errors.
+    The number is between `fewest` and `most`; 0 if even `most` draws are not enough. `sd` is the expected standard
+    deviation of the errors. For a margin, the standard deviation of the sample is assumed to be larger by the
+    factor `_MARGIN`, and the changes of the means to be `_MARGIN` standard errors.
     """
     of_sds = largest_sd_shift(posterior)
     for n in range(fewest, most + 1):
@@ -122,12 +124,12 @@ def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int
 
 
 def _quantile(n: int, ndim: int) -> float:
-    """Return the 95 % limit of the errors of ndim means of n values, in standard errors."""
+    """Return the 95 % limit, in standard errors, on the errors of `ndim` means of n values."""
     return float(stdtrit(n - 1, 1.0 - (1.0 - LEVEL) / (2 * ndim)))
 
 
 def _upper_sd(values: FloatArray) -> float:
-    """Return the 95 % upper limit of the standard deviation of a population, from n values."""
+    """Return the upper 95 % limit on the standard deviation of a population, given n values."""
     n = len(values)
     variance = float(np.var(values, ddof=1))
     if variance == 0.0:
@@ -137,6 +139,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the ratio of the upper limit of a standard deviation to the sample's, for n values of a kurtosis."""
+    """Return the ratio of the upper limit on a standard deviation to that of the sample, for n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

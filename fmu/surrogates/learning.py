@@ -1,4 +1,4 @@
-"""`fmu.surrogate`: replacement of a problem's slow model by Gaussian processes, with a certificate."""
+"""`fmu.surrogate`, which replaces the slow model of a problem by Gaussian processes, with a certificate."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ BATCH, CHECKS = 4, 12
 _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 8, 250, 150
 _CANDIDATES = 300
 _UNDECIDED = 0.05
-"""Largest fraction of posterior draws that may lie between points that were solved and points that failed."""
+"""Largest fraction of posterior draws allowed between points that were solved and points that failed."""
 _MAY_BE_SWAPPED = 0.6
-"""MAC with the measured shape below which the paired mode may be another one."""
+"""MAC with the measured shape below which the paired mode may be the wrong one."""
 
 
 class SurrogateWarning(UserWarning):
-    """Warning that a surrogate does not reach its tolerance."""
+    """Warning that a surrogate has not reached its tolerance."""
 
 
 @check_arguments
@@ -53,11 +53,11 @@ def surrogate(
 ) -> UpdatingProblem:
     """Return the same problem with Gaussian processes in place of its slow model.
 
-    The processes are first fitted to solves at points that fill the bounds. Batches of solves are then added at
-    posterior draws, chosen to reduce the error of the posterior most. When the surrogate expects a small error,
-    the slow model is solved at fresh posterior draws, and the errors there give the certificate. If by this
-    certificate the error of the posterior may exceed the tolerance, these solves are added to the design, and the
-    procedure continues. The solves of the final certificate are never part of the design.
+    The processes are first fitted to solves at points that fill the space within the bounds. Batches of solves are
+    then added at those posterior draws that reduce the error of the posterior most. When the surrogate predicts a
+    small error, the slow model is solved at fresh posterior draws, and the errors there give the certificate. If
+    the certificate shows that the error of the posterior may exceed the tolerance, these solves are added to the
+    design, and the procedure continues. The solves of the final certificate are never part of the design.
 
     Parameters
     ----------
@@ -66,15 +66,15 @@ def surrogate(
     seed : int
         Seed of the random numbers.
     tolerance : float
-        Largest error of the posterior, with 95 % confidence: of a mean in posterior standard deviations, and of a
-        standard deviation relative to itself.
+        Largest error allowed in the posterior, with 95 % confidence: in any mean, in posterior standard
+        deviations, and in any standard deviation, as a fraction of it.
     batch : int, optional
-        Number of solves between two rounds of sampling, which can run in parallel. The default is the number of
-        structural parameters, and at least four. The design depends on this number, but not on the number of
+        Number of solves between two rounds of sampling; they can run in parallel. The default is the number of
+        structural parameters, but at least four. The design depends on this number, but not on the number of
         workers.
     checks : int
-        Number of draws that are solved for a certificate, at least 8. More are solved if that costs less than a
-        better surrogate.
+        Number of draws at which the model is solved for a certificate, at least 8. More are used if that costs
+        less than a better surrogate.
     max_solves : int, optional
         Number of solves after which the procedure ends, even if the tolerance is not reached. The default is 100,
         plus 50 for each structural parameter.
@@ -84,7 +84,7 @@ def surrogate(
     Returns
     -------
     UpdatingProblem
-        The problem with the surrogate. ``model.certificate`` contains the limits of its error and the number of
+        The problem with the surrogate. ``model.certificate`` contains the limits on its error and the number of
         solves (`fmu.fem.certificates.SurrogateCertificate`).
 
     Raises
@@ -110,9 +110,9 @@ def surrogate(
 
 
 def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
-    """Extend the design until the certificate is within the tolerance or no solves are left; return its limits.
+    """Extend the design until the certificate meets the tolerance or no solves are left; return its limits.
 
-    It also ends if the scatter of the solver prevents a better certificate.
+    The extension also ends if the scatter of the solver prevents a better certificate.
     """
     optimism, at_floor = 1.0, 0
     while True:
@@ -145,7 +145,7 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
 
 
 class _Learner:
-    """The growing design, the surrogate that is fitted to it, and the problem with this surrogate."""
+    """The growing design, the surrogate fitted to it, and the problem with this surrogate."""
 
     def __init__(self, problem: UpdatingProblem, seed: int, max_solves: int) -> None:
         self.given, self.truth = problem, problem.model
@@ -171,7 +171,7 @@ class _Learner:
         return self.most - self.solves
 
     def begin(self, under_way: Phase) -> None:
-        """Solve at the start and at points that fill the box, and fit the first surrogate."""
+        """Solve at the starting point and at points that fill the box, and fit the first surrogate."""
         from scipy.stats import qmc
 
         design: Design | None = None
@@ -196,7 +196,7 @@ class _Learner:
         self._fit(None)
 
     def posterior(self) -> tuple[FloatArray, float, float]:
-        """Return draws (n, ndim) of the surrogate's posterior, and two expected errors of the log-probability.
+        """Return draws (n, ndim) from the surrogate's posterior, and two expected errors of the log-probability.
 
         The first error is due to the surrogate's own uncertainty, the second to the scatter of the solver. Both
         are root mean squares over the posterior.
@@ -221,16 +221,19 @@ class _Learner:
         return draws, expected, floor
 
     def find_undecided(self, draws: FloatArray) -> IntArray:
-        """Return the indices of the draws (n, ndim) between points that were solved and points that failed."""
+        """Return the indices of the draws (n, ndim) at which it is uncertain whether a solve would fail.
+
+        Such draws lie between points that were solved and points that failed.
+        """
         margin = self.model.feasibility.margin(self.coordinates.to_x(draws[:, : self.n]))
         return np.flatnonzero(np.abs(margin) < EDGE)
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
-        """Solve at draws (n, ndim), add the solves to the design and fit the surrogate again."""
+        """Solve at draws (n, ndim), add the solves to the design and refit the surrogate."""
         self.learn(self._solve(draws[:, : self.n], under_way))
 
     def check_draws(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
-        """Return the errors (n,) of the log-probability at draws (n, ndim), NaN on failure, and the solves."""
+        """Solve at draws (n, ndim); return the log-probability errors (n,), NaN on failure, and the solves."""
         answers = self._solve(draws[:, : self.n], under_way)
         self.checks = answers.theta
         expected = self.model.frequencies(draws[:, : self.n])
@@ -243,12 +246,12 @@ class _Learner:
         return np.where(good, errors, np.nan), answers
 
     def learn(self, answers: Design) -> None:
-        """Add solves to the design, and fit the surrogate again."""
+        """Add solves to the design, and refit the surrogate."""
         self.design = self.design.join(answers)
         self._fit(self.model)
 
     def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
-        """Return the certificate of the surrogate, with the limits of its errors."""
+        """Return the certificate of the surrogate, with the limits on its errors."""
         failed = self.design.failed
         estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
@@ -269,7 +272,7 @@ class _Learner:
         )
 
     def _doubts(self) -> str:
-        """Return a sentence for each mode that may be swapped near the posterior, one per line; may be empty."""
+        """Return sentences, one per line, on modes that may be swapped near the posterior; "" if there is none."""
         shapes = self.given.data.shapes
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:
             return ""
@@ -300,7 +303,7 @@ class _Learner:
 
 
 def certificate_of(problem: UpdatingProblem) -> SurrogateCertificate:
-    """Return the certificate of a problem whose model is a surrogate."""
+    """Return the certificate of the surrogate in a problem."""
     found = problem.model.certificate
     assert isinstance(found, SurrogateCertificate)
     return found
@@ -323,7 +326,7 @@ def expected_solves(problem: UpdatingProblem) -> int:
 
 
 def most_solves(problem: UpdatingProblem) -> int:
-    """Return the default of the largest number of solves for a surrogate of a problem."""
+    """Return the default of `max_solves` in `surrogate` for a problem."""
     return solves_of_a_surrogate(problem.n_structural)
 
 

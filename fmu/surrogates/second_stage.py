@@ -1,4 +1,4 @@
-"""The second stage of delayed acceptance: the proposals of a surrogate are accepted or rejected by the model."""
+"""The second stage of delayed acceptance, in which the model accepts or rejects the proposals of a surrogate."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 _APART = 2.0
-"""Smallest number of autocorrelation times between proposals: an autoregression then has a correlation of e⁻⁴."""
+"""Smallest spacing of the proposals in autocorrelation times; an autoregression then has a correlation of e⁻⁴."""
 _FEWEST = 4
-"""Smallest number of proposals of a chain: ArviZ gives no diagnostics for fewer draws."""
+"""Smallest number of proposals in a chain; ArviZ gives no diagnostics for fewer draws."""
 _TURNS = 4
-"""Number of solves per worker between two reports of progress."""
+"""Number of solves per worker between two progress reports."""
 _STREAM = 22
 
 
@@ -41,9 +41,10 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
     Parameters
     ----------
     log_weight : ndarray, shape (n,)
-        Values of log p − log p̂ at the proposals, which are drawn from p̂; −inf where p = 0, but not everywhere.
+        Values of log p − log p̂ at the proposals, which are drawn from p̂; −inf where p = 0. At least one is
+        finite.
     rng : Generator
-        A chain of more proposals uses the same random numbers at first.
+        A longer chain begins with the same random numbers.
 
     Returns
     -------
@@ -64,14 +65,14 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
 
 
 class SecondStage:
-    """The proposals of all chains, (chains, n, ndim), and the model's log-probabilities at those solved so far.
+    """The proposals of all chains, (chains, n, ndim), and log-probabilities of the model at those solved so far.
 
     Parameters
     ----------
     problem : UpdatingProblem
         A problem with a surrogate.
     trace : xarray.DataTree
-        Draws of the surrogate's posterior.
+        Draws from the surrogate's posterior.
 
     Raises
     ------
@@ -110,11 +111,11 @@ class SecondStage:
 
     @property
     def log_weight(self) -> FloatArray:
-        """The values of log p − log p̂ at the first n proposals of each chain, which were solved, (chains, n)."""
+        """Values of log p − log p̂, (chains, n), at the first n proposals of each chain: those solved so far."""
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:
-        """Solve at the first n proposals of every chain that have not been solved yet."""
+        """Solve the model at those of the first n proposals of every chain that have not been solved yet."""
         chains = len(self.theta)
         rows = -(-_TURNS * workers // chains)
         for first in range(self._n, n, rows):
@@ -156,7 +157,7 @@ class SecondStage:
         )
 
     def maxima(self, known: Maxima) -> Maxima | None:
-        """Return the maxima of the surrogate's posterior, corrected by the model; None if none of them remains.
+        """Return the maxima of the surrogate's posterior, corrected with the model; None if none of them is left.
 
         The mass of a maximum is multiplied by the mean weight of the proposals near it, which gives its mass in
         the model's posterior. A maximum moves to the proposal near it with the largest log-probability, if that
@@ -182,7 +183,7 @@ class SecondStage:
         return replace(known, maxima=tuple(sorted(found, key=lambda one: -one.log_prob))) if found else None
 
     def record(self) -> Mapping[str, int]:
-        """Return a dict of the attributes of the trace that count proposals and solves."""
+        """Return the trace attributes that count proposals and solves, as a dict."""
         return {
             "second_stage_proposals": self._which[:, : self._n].size,
             "second_stage_accepted": int(np.sum(self._accept_draws(*self._paths()))),
@@ -191,7 +192,7 @@ class SecondStage:
         }
 
     def _paths(self) -> tuple[IntArray, IntArray]:
-        """Return the paths (chains, n) and starts (chains,) of `independence_chain` for all chains."""
+        """Return the paths (chains, n) and starting indices (chains,) of `independence_chain` for all chains."""
         weights, seed = self.log_weight, int(self.trace.attrs["seed"])
         failed = np.flatnonzero(~np.isfinite(weights).any(axis=1))
         if len(failed):

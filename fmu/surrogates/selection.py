@@ -1,4 +1,4 @@
-"""Selection of the points that are solved next: those that reduce the error of the posterior most."""
+"""Selection of the points to be solved next, which are those that reduce the error of the posterior most."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.types import FloatArray, IntArray
 def error_variances(
     likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two variances of the error of the log-probability at theta (n, ndim), (n,) each.
+    """Return two variances, each (n,), of the error of the log-probability at theta (n, ndim).
 
     The first is due to the surrogate's own uncertainty, the second to the scatter of the solver.
     """
@@ -27,12 +27,12 @@ def error_variances(
 
 
 def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
-    """Return the indices (n,) of the posterior draws (N, ndim) at which the model is to be solved.
+    """Return the indices (n,) of the posterior draws (N, ndim) at which to solve the model.
 
-    The draws are selected one after the other. Each minimises the variance of the log-probability that remains
-    after it is solved, averaged over the posterior. This is a sequential design by integrated variance (Sacks,
-    Welch, Mitchell & Wynn 1989, *Stat. Sci.* 4, 409–435), weighted by the posterior and by the sensitivity of the
-    likelihood. Each selected point reduces the variance around it, so that the points of a batch lie apart.
+    The draws are selected one by one. Each minimises the variance of the log-probability that remains after it is
+    solved, averaged over the posterior. This is a sequential integrated-variance design (Sacks, Welch, Mitchell &
+    Wynn 1989, *Stat. Sci.* 4, 409–435), weighted by the posterior and by the sensitivity of the likelihood. Each
+    selected point reduces the variance around it, so the points of a batch are not close together.
     """
     of_frequency, of_shape = likelihood.sensitivity_to_model(draws)
     x = model.coordinates.to_x(draws[:, : model.n_parameters])
@@ -57,6 +57,6 @@ def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: Floa
 
 
 def stratify(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return indices of n draws, one at random from each of n equal groups in the order of `uncertainty` (N,)."""
+    """Return n indices of draws, one at random from each of n equal groups in order of `uncertainty` (N,)."""
     groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
     return np.array([rng.choice(group) for group in groups])

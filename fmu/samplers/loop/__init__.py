@@ -1,4 +1,4 @@
-"""The sampling loop of all samplers: starts, groups of chains, warm-up and draws.
+"""The sampling loop that all samplers share: starting points, groups of chains, warm-up and draws.
 
 Reading order: starts, group, record, run.
 """

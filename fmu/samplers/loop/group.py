@@ -1,8 +1,8 @@
-"""Groups of chains, the units of work of a run, and the execution of a chunk of this work.
+"""Groups of chains, which are the units of work of a run, and the execution of a chunk of that work.
 
-The chains of a group advance in lockstep with one generator, and learn together. Groups are independent of each
-other. Between two chunks of its work a group is plain data: the result does not depend on the worker, the order
-and the number of chunks.
+The chains of a group advance in lockstep with one random generator, and are tuned together. Groups are independent
+of each other. Between two chunks of work a group is plain data, so the result does not depend on which worker does
+a chunk, on their order or on their number.
 """
 
 from __future__ import annotations
@@ -27,13 +27,11 @@ WARMUP, DRAWS = "warmup", "draws"
 
 
 class RunContext:
-    """Density, sampler and length of the warm-up, which all groups of a run share.
+    """Density, sampler and length of the warm-up, common to all groups of a run.
 
     Parameters
     ----------
-    density : LogDensity
-    sampler : Sampler
-    warmup : int
+    density : LogDensity sampler : Sampler warmup : int
         Number of warm-up steps.
     """
 
@@ -53,7 +51,7 @@ class GroupState:
     generator : dict
         State of the bit generator.
     start : ndarray, shape (chains, ndim) or (chains, walkers, ndim), or None
-        Starting positions of the chains, in scaled units; None once the chains have begun.
+        Starting points of the chains, in scaled units; None once the chains have begun.
     done : mapping of str to int
         Number of steps taken in each phase.
     solves : int
@@ -61,9 +59,9 @@ class GroupState:
     state : State or None
         None if the chains have not begun.
     tuner : Tree or None
-        `Tuner.state` of the tuner; None if nothing is to be learnt.
+        `Tuner.state` of the tuner; None if there is nothing to learn.
     learnt : dict
-        The settings that the draws are made with, as JSON-able data; {} if nothing was learnt, or not yet.
+        Learnt settings with which the draws are made, as JSON-able data; {} if nothing has been learnt.
     """
 
     first_chain: int
@@ -77,7 +75,7 @@ class GroupState:
 
     @classmethod
     def at(cls, start: FloatArray, rng: np.random.Generator, first_chain: int = 0) -> GroupState:
-        """Return a group whose chains have not begun."""
+        """Return a group whose chains have yet to take their first step from `start`."""
         return cls(first_chain, rng.bit_generator.state, start, {WARMUP: 0, DRAWS: 0})
 
     @classmethod
@@ -101,8 +99,8 @@ class Chunk:
         The group before the chunk.
     phase : {"warmup", "draws"}
     steps, seconds : int, float
-        The chunk ends after `steps` steps or `seconds` seconds, or when a stop is asked for, but takes at least
-        one step.
+        The chunk ends after `steps` steps or `seconds` seconds, or when a stop is requested, but not before one
+        step.
     total : int
         Planned number of steps of the phase, for progress reports.
     label : str
@@ -127,7 +125,7 @@ class ChunkResult:
     group : GroupState
         The group after the chunk.
     failures : list
-        Failures that `take_failures` of the density returned: points without a finite log-density, with reasons.
+        Failures returned by `take_failures` of the density: points without a finite log-density, with the reasons.
     """
 
     steps: Steps
@@ -136,12 +134,12 @@ class ChunkResult:
 
 
 def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> ChunkResult:
-    """Perform a chunk of a group's work and return its result.
+    """Do a chunk of a group's work and return the result.
 
     Raises
     ------
     ValueError
-        If a chain would start where the log-density is not finite.
+        If the log-density is not finite at the starting point of a chain.
     """
     group = _GroupRunner(context, chunk.group)
     began = time.perf_counter()
@@ -162,7 +160,7 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
 
 
 def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
-    """Return the log-densities at a group's positions: as stored with the group, and evaluated again."""
+    """Return the log-densities at a group's positions twice: as stored with the group, and recomputed."""
     held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 
@@ -174,7 +172,7 @@ class _GroupRunner:
     ----------
     context : RunContext
     group : GroupState
-        If the chains have not begun, their starting positions are evaluated.
+        If the chains have not begun, their starting points are evaluated.
     """
 
     def __init__(self, context: RunContext, group: GroupState) -> None:
@@ -206,7 +204,7 @@ class _GroupRunner:
     def step(self, phase: str) -> Info:
         """Take one step, and learn from it in warm-up; return the diagnostics of the step.
 
-        The cost of the start is counted for the first step.
+        The cost of evaluating the starting points is added to the first step.
         """
         self.state, info = self.kernel.step(self.rng, self.state)
         if self.start is not None:
@@ -253,7 +251,7 @@ class _GroupRunner:
         )
 
     def _take_kernel(self) -> None:
-        """Use the tuner's kernel in warm-up, and the kernel of the settings learnt afterwards."""
+        """Select the kernel: the tuner's in warm-up, and afterwards the kernel with the learnt settings."""
         if self.tuner is None:
             return
         if self.done[WARMUP] < self.context.warmup:

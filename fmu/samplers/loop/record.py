@@ -1,4 +1,4 @@
-"""Draws of a run: the arrays that steps are written into, and the result that a run returns."""
+"""Records of a run: the arrays into which steps are written, and the result that a run returns."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Draws:
     Attributes
     ----------
     position : ndarray, shape (chains, draws, ndim)
-        theta, in the density's own coordinates. An ensemble has steps × walkers draws, in step-major order.
+        theta, in unscaled coordinates. An ensemble has steps × walkers draws, in step-major order.
     stats : dict of str to ndarray, shape (chains, draws)
-        ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and the statistics that the sampler adds. The sums of
-        n_solves and n_gradients over warm-up and draws are the exact cost of the run: the cost of the start is
-        counted for the first stored step.
+        ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and the statistics that the sampler adds. Summed over
+        warm-up and draws, n_solves and n_gradients give the exact cost of the run, because the cost of the
+        starting points is added to the first step.
     """
 
     position: FloatArray
@@ -42,14 +42,14 @@ class RunResult:
     seed, chains, draws, warmup_draws, walkers : int
         `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws per step.
     groups : int
-        Number of groups that the chains were divided into.
+        Number of groups into which the chains were divided.
     init : str
-        Where the chains started: "prior", "start", "maxima" or "array".
+        Source of the starting points: "prior", "start", "maxima" or "array".
     wall_s, warmup_wall_s : float
-        Seconds spent sampling, warm-up included, and in warm-up alone.
+        Time spent in s: on the whole run, including warm-up, and on warm-up alone.
     learnt : dict
-        The settings that warm-up learnt and that the draws were made with; {} if nothing was learnt. With several
-        groups of chains, each value is a list over the groups.
+        Settings that were learnt in warm-up and used for the draws; {} if nothing was learnt. With several groups
+        of chains, each value is a list with one entry per group.
     """
 
     warmup: Draws
@@ -75,7 +75,7 @@ class Steps:
     Attributes
     ----------
     position : ndarray, shape (chains, steps, walkers, ndim)
-        theta, in the density's own coordinates.
+        theta, in unscaled coordinates.
     stats : mapping of str to ndarray, shape (chains, steps, walkers, ...)
     """
 
@@ -87,7 +87,7 @@ class Steps:
 
 
 class Record:
-    """Arrays of the steps of all chains. The arrays of statistics are created when the first steps name them.
+    """Arrays of the steps of all chains; arrays of statistics are created when the first steps are written.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ class Record:
         self._stats: dict[str, AnyArray] = {}
 
     def reserve(self, steps: int) -> None:
-        """Make room for `steps` steps in total. Arrays returned earlier do not change."""
+        """Make room for `steps` steps in total; arrays returned earlier do not change."""
         if steps > self._capacity:
             self._capacity = steps
             self._position = self._longer(self._position)
             self._stats = {name: self._longer(x) for name, x in self._stats.items()}
 
     def write(self, step: int, first_chain: int, steps: Steps) -> None:
-        """Write the steps of the chains from index `first_chain` on, beginning at step index `step`."""
+        """Write `steps` of consecutive chains, beginning with chain `first_chain`, from step index `step` on."""
         chains = slice(first_chain, first_chain + len(steps.position))
         rows = slice(step, step + len(steps))
         self._position[chains, rows] = steps.position
@@ -119,12 +119,12 @@ class Record:
             self._stats[name][chains, rows] = value
 
     def steps(self, first: int, stop: int, chains: slice = slice(None)) -> Steps:
-        """Return the steps `first` to `stop` − 1 of the selected chains, without copies."""
+        """Return steps `first` to `stop` − 1 of the selected chains, as views without copying."""
         rows = slice(first, stop)
         return Steps(self._position[chains, rows], {name: x[chains, rows] for name, x in self._stats.items()})
 
     def draws(self, stop: int) -> Draws:
-        """Return the draws of all steps before `stop` in order: all walkers of a step, then the next step."""
+        """Return the draws of all steps before `stop`, in step-major order: all walkers of each step in turn."""
         steps = self.steps(0, stop)
         length = stop * self._walkers
         stats = {name: x.reshape(self._chains, length, *x.shape[3:]) for name, x in steps.stats.items()}

@@ -1,4 +1,4 @@
-"""Sampling runs: groups of chains with their seeds, warm-up and draws, progress, and checkpoints."""
+"""Sampling runs: groups of chains and their seeds, warm-up and draws, progress reports, and checkpoints."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ from fmu.samplers.settings import describe, whole_number
 from fmu.types import FloatArray, LogDensity
 
 MOST_STEPS = 1000
-"""Largest number of steps in a chunk of work; these steps are copied into the record of the run."""
+"""Largest number of steps in a chunk of work."""
 LIVE_S = 1.0
-"""Seconds within which every group is advanced if there is progress to show, a checkpointer, or a `stop`."""
+"""Time in s within which every group advances if the run reports progress, saves checkpoints, or can be
+stopped."""
 _ENOUGH = 20  # number of steps below which diagnostics are not reliable
 
 
@@ -49,10 +50,10 @@ class _RunningGroup:
 
 
 class Run:
-    """A sampling run: warmed up once, when it is created, and extended as often as wanted.
+    """A sampling run, which is warmed up once, when it is created, and can be extended any number of times.
 
-    The same density, settings and seed give the same draws, bit for bit, for any number of chunks and workers and
-    however often the run was interrupted. Each group of chains has its own generator, from
+    The same density, settings and seed give the same draws, bit for bit, whatever the number of chunks and
+    workers, and however often the run is interrupted. Each group of chains has its own random generator, from
     ``SeedSequence(seed).spawn(groups)``.
 
     Parameters
@@ -70,33 +71,33 @@ class Run:
     init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         See `starting_points`.
     groups : int, optional
-        Number of groups. The chains of a group advance in lockstep and learn together; groups can be advanced by
-        different workers. The draws depend on this number. If it is not given, all chains form one group, but each
-        ensemble forms its own group.
+        Number of groups. The chains of a group advance in lockstep and are tuned together; different workers can
+        advance different groups. The draws depend on this number. By default all chains form one group, but each
+        ensemble forms a group of its own.
     progress : callable, optional
         Called as ``progress(phase, done, total, info)`` with the phase ("warmup" or "draws"), the number of steps
         done, the number of steps planned, and a mapping of names to numbers; with several groups,
         ``info["group"]`` names the group. It is called after every step in this process, and several times a
         second for steps in other workers.
     engine : Engine, optional
-        Engine that performs the work; if it is not given, this process performs the work.
+        Engine that does the work; by default, this process does it.
     checkpointer : Checkpointer, optional
-        Saves draws and states. Steps that were saved are not drawn again.
+        Saves draws and states. Saved steps are read back and not drawn again.
     stop : callable, optional
         Called between two chunks of work, at least once a second unless a step takes longer. The run stops if
         `stop` returns True.
     too_many_failed : callable, optional
-        ``too_many_failed(n_failed, n_solves, failures)`` returns a message if too large a share of the solves
-        failed, else None.
+        Called as ``too_many_failed(n_failed, n_solves, failures)``; returns a message if too large a share of the
+        solves failed, else None.
     live : callable, optional
-        Returns diagnostics for progress reports, a mapping of names to numbers, from draws of shape (chains,
-        steps, walkers, ndim); called with ``ended=True`` for the last report.
+        Returns diagnostics for progress reports, a mapping of names to numbers, from draws with shape (chains,
+        steps, walkers, ndim). It is called with ``ended=True`` for the last report.
 
     Raises
     ------
     ValueError
-        If a number is out of range, a setting does not fit the density, a start is outside the bounds or has a
-        log-density that is not finite, or the checkpointer contains a run on another density.
+        If a number is out of range, or a setting does not fit the density; if a starting point is outside the
+        bounds or has a log-density that is not finite; or if the checkpointer contains a run with another density.
     Interrupted
         If `stop` returned True.
     TooManyFailuresError
@@ -141,7 +142,7 @@ class Run:
         self._advance(WARMUP, self.warmup)
 
     def extend(self, draws: int) -> RunResult:
-        """Take `draws` further steps, and return the result with all draws so far.
+        """Take `draws` more steps, and return the result with all draws so far.
 
         Raises
         ------
@@ -161,12 +162,12 @@ class Run:
         return int(np.sum(self._records[WARMUP].draws(self.warmup).stats.get("n_solves", 0)))
 
     def report_end(self) -> None:
-        """Report once more after the last `extend`, with the diagnostics on which the verdict rests."""
+        """Send a last progress report, with the diagnostics on which the verdict is based."""
         if self._watch is not None:
             self._watch.end(self._common(DRAWS))
 
     def _begin_groups(self, init: str | ArrayLike) -> list[_RunningGroup]:
-        """Return the list of groups before their first step."""
+        """Return the list of groups as they are before their first step."""
         context, walkers = self._context, self.sampler.walkers
         seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
         generators = [np.random.default_rng(child) for child in seeds]
@@ -176,7 +177,7 @@ class Run:
         return [_RunningGroup(i, each, GroupState.at(*start, first_chain=i * each)) for i, start in starts]
 
     def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
-        """Restore the last saved state of a group, if the group was saved."""
+        """Restore the last saved state of a group, if there is one."""
         kept = checkpointer.kept(group.index)
         if kept is None:
             return
@@ -243,13 +244,13 @@ class Run:
         return Chunk(group.state, phase, steps, seconds, target, label)
 
     def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
-        """Record the steps of a group, and count the solves and failures of these steps."""
+        """Record the steps of a group, and count their solves and failures."""
         self._records[phase].write(first, group.chains.start, steps)
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
     def _keep(self, group: _RunningGroup, phase: str, target: int, *, at_once: bool) -> None:
-        """Save a group if `at_once`, or if the checkpointer says that a save is due."""
+        """Save a group if `at_once` is True or the checkpointer says that a save is due."""
         first, stop = group.pending[phase], group.state.done[phase]
         if self._keeper is None or stop == first:
             return
@@ -270,7 +271,7 @@ class Run:
         return self._result(drawn) if drawn else None
 
     def _result(self, draws: int) -> RunResult:
-        """Return the result with the first `draws` steps of draws."""
+        """Return the result with the draws of the first `draws` steps."""
         kept = self._records[DRAWS].draws(draws)
         warm = self._records[WARMUP].draws(self.warmup)
         if self.warmup == 0:  # no step has named the statistics
@@ -311,7 +312,7 @@ def run(
 
 
 def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
-    """Return the number of groups that the chains are divided into.
+    """Return the number of groups into which the chains are divided.
 
     Raises
     ------
@@ -331,7 +332,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
 
 
 def _check_same(context: RunContext, group: GroupState) -> None:
-    """Raise ValueError unless the density still has the values that were saved with the chains."""
+    """Raise ValueError unless the density still gives the values that were saved with the chains."""
     then, now = evaluate_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
@@ -343,14 +344,14 @@ def _check_same(context: RunContext, group: GroupState) -> None:
 
 
 def _merge_learnt(learnt: list[dict[str, object]]) -> dict[str, object]:
-    """Return a dict of the settings learnt; with several groups, each value is a list over the groups."""
+    """Return the learnt settings as one dict; with several groups, each value is a list over the groups."""
     if len(learnt) == 1:
         return learnt[0]
     return {name: [settings[name] for settings in learnt] for name in learnt[0]}
 
 
 class _Watch:
-    """Forwarder of progress reports, which adds live diagnostics of the draws of all groups."""
+    """Forwards progress reports, and adds diagnostics of the draws of all groups so far."""
 
     def __init__(self, progress: Report, live: Callable[..., Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live
@@ -364,7 +365,7 @@ class _Watch:
         self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
 
     def end(self, draws: FloatArray) -> None:
-        """Report the last step of each group once more, with the diagnostics on which the verdict rests."""
+        """Repeat the last report of each group, with the diagnostics on which the verdict is based."""
         if self._live is None or draws.shape[1] < _ENOUGH:
             return
         self._words = dict(self._live(draws, ended=True))
@@ -372,7 +373,7 @@ class _Watch:
             self._progress(DRAWS, done, total, {**info, **self._words})
 
     def look(self, draws: FloatArray) -> None:
-        """Update the diagnostics of the draws so far, on which about a fiftieth of the time may be spent."""
+        """Update the diagnostics of the draws so far; this may take about a fiftieth of the run time."""
         began = time.monotonic()
         if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
             return

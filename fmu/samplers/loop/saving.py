@@ -1,4 +1,4 @@
-"""Saving of a run: the saved data of a group of chains, the checkpointer, and exceptions that end a run early."""
+"""Saving of runs: the saved data of a group of chains, the checkpointer, and exceptions that end a run early."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.samplers.loop.record import RunResult, Steps
 
 
 class Interrupted(KeyboardInterrupt):
-    """Raised when a run was asked to stop and has stopped.
+    """Raised when a run has stopped on request.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class TooManyFailuresError(RunFailedError):
 
 
 class SavedGroup(NamedTuple):
-    """The last saved data of a group of chains.
+    """Data of a group of chains as last saved.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class PendingGroup(NamedTuple):
         Index of the first of the `steps` in the phase.
     steps : Steps
     failures : list
-        Points without a finite log-density since the group was last saved.
+        Points without a finite log-density that were found since the group was last saved.
     total : int
         Number of planned steps of the phase.
     """
@@ -84,27 +84,27 @@ class PendingGroup(NamedTuple):
 
 
 class Checkpointer(Protocol):
-    """Saver of the draws and the states of the groups, from which a run that dies can be resumed.
+    """Saves the draws and states of the groups, from which an aborted run can be resumed.
 
     Attributes
     ----------
     most_steps : int
-        Largest number of steps of a group that may be lost.
+        Largest number of steps of a group that may be lost between two saves.
     most_seconds : float
-        Largest number of seconds of a group's work that may be lost.
+        Largest time in s of a group's work that may be lost between two saves.
     """
 
     most_steps: int
     most_seconds: float
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return the last saved data of a group; None if the group was never saved."""
+        """Return the last saved data of a group; None if it has never been saved."""
         ...
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return True if a group is to be saved after `steps` steps since the last save of the group."""
+        """Return True if a group must be saved, given the number of steps since it was last saved."""
         ...
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Save the data of a group since the last save of the group."""
+        """Save the data of a group that have accumulated since it was last saved."""
         ...

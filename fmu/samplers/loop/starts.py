@@ -1,4 +1,4 @@
-"""Starting positions of the chains, and checks of these positions."""
+"""Starting points of the chains, and their checks."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray
 
 BALL = 0.02
-"""Standard deviation, in scaled units, of the walkers of an ensemble around a single start."""
+"""Standard deviation, in scaled units, of the walkers of an ensemble around a common starting point."""
 
 
 def starting_points(
     scaled: ScaledDensity, init: str | ArrayLike, generators: list[np.random.Generator], chains: int, walkers: int
 ) -> list[FloatArray]:
-    """Return the list of starting positions of each group, in scaled units.
+    """Return the starting points of each group, in scaled units.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def starting_points(
     init : "prior", "start" or array_like
         "prior": draws from ``density.sample_prior``. "start": ``density.start`` for every chain; the walkers of an
         ensemble are spread around this point with standard deviation `BALL`, as they must span the space. An array
-        contains the starts theta, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
+        contains the starting points theta, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
     generators : list of Generator
         One generator per group; the chains are divided equally among the groups.
     chains, walkers : int
@@ -39,8 +39,8 @@ def starting_points(
     Raises
     ------
     ValueError
-        If `init` is none of these, the density lacks ``sample_prior`` or ``start``, or a start is outside the
-        bounds.
+        If `init` is none of these, the density lacks ``sample_prior`` or ``start``, or a starting point is outside
+        the bounds.
     """
     shape = (chains, scaled.ndim) if walkers == 1 else (chains, walkers, scaled.ndim)
     word = init if isinstance(init, str) else None
@@ -68,7 +68,7 @@ def starting_points(
 
 
 def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
-    """Raise ValueError that names the first start outside the bounds or not finite, if there is one."""
+    """Raise ValueError, naming the first starting point that is not finite or is outside the bounds, if any."""
     inside = (theta >= scaled.theta_lower) & (theta <= scaled.theta_upper) & np.isfinite(theta)
     if not inside.all():
         *where, i = (int(k) for k in np.argwhere(~inside)[0])
@@ -79,7 +79,7 @@ def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
 
 
 def check_finite(scaled: ScaledDensity, position: FloatArray, log_prob: FloatArray, first_chain: int) -> None:
-    """Raise ValueError that names the first start whose log-density is not finite, if there is one."""
+    """Raise ValueError, naming the first starting point whose log-density is not finite, if any."""
     bad = np.argwhere(~np.isfinite(log_prob))
     if len(bad):
         chain, *rest = (int(k) for k in bad[0])
@@ -95,7 +95,7 @@ def _label(where: list[int]) -> str:
 
 
 def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
-    """Return walkers spread around `u` and reflected at the walls, so that no two walkers coincide."""
+    """Return walkers spread around `u` and reflected at the walls; no two walkers coincide."""
     spread = u + BALL * rng.standard_normal(u.shape)
     spread = np.where(spread < scaled.lower, 2 * scaled.lower - spread, spread)
     return np.where(spread > scaled.upper, 2 * scaled.upper - spread, spread)

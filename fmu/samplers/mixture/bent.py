@@ -1,4 +1,4 @@
-"""A mixture of bent Gaussians, fitted by expectation and maximisation."""
+"""A mixture of bent Gaussians, fitted by the expectation–maximisation algorithm."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fmu.samplers.mixture.curve import BETTER, HALF_LOG_2PI, features, least_squ
 from fmu.types import FloatArray
 
 MOST = 32
-"""Largest number of Gaussians of a mixture."""
+"""Largest number of Gaussians in a mixture."""
 _SWEEPS, _LITTLE = 12, 2e-3
-"""Largest number of sweeps of a fit, and smallest gain of log-likelihood per point worth a further sweep."""
+"""Largest number of sweeps in a fit, and smallest gain in log-likelihood per point that is worth another sweep."""
 _POINTS, _PER_GAUSSIAN = 4, 20
-"""Effective points needed per coefficient of a bend, and per coordinate of a Gaussian."""
+"""Effective number of points needed per coefficient of a bend, and per coordinate of a Gaussian."""
 PENALTY = 3.0
-"""Log-likelihood that a coefficient must gain. Weighted points carry less information than as many independent
-points: Akaike's criterion, 1, leaves too many Gaussians, which collapse on single points."""
+"""Gain in log-likelihood required per coefficient. Weighted points carry less information than the same number of
+independent points: Akaike's criterion, 1, leaves too many Gaussians, which collapse onto single points."""
 _WORTH, _FAILURES = 0.01, 2
 _NEAR = 1e-3
 
@@ -27,8 +27,8 @@ _NEAR = 1e-3
 class BentGaussians:
     """A mixture of bent Gaussians: x = mean + A t with t_i = b_i(t) + sd_i z_i, where z is standard normal.
 
-    b_i is quadratic in the t_j with j > i, along the longer axes. The columns of A are the principal axes, the
-    shortest axis first, so that a Gaussian can follow a thin curved sheet or thread. The map from z to t is
+    b_i is quadratic in the t_j with j > i. The columns of A are the principal axes, shortest first, so each t_i
+    bends with the longer axes and a Gaussian can follow a thin curved sheet or thread. The map from z to t is
     triangular.
 
     Attributes
@@ -38,7 +38,7 @@ class BentGaussians:
     axes : ndarray, shape (k, ndim, ndim)
         The matrices A.
     bends : ndarray, shape (k, ndim, n)
-        Coefficients of b_i for the n `features` of t.
+        Coefficients of b_i with respect to the n `features` of t.
     sds : ndarray, shape (k, ndim)
         Standard deviations of t_i about b_i.
     """
@@ -50,12 +50,12 @@ class BentGaussians:
     sds: FloatArray
 
     def to_z(self, x: FloatArray, k: int) -> FloatArray:
-        """Return the z, shape (n, ndim), that Gaussian k maps to the points x (n, ndim)."""
+        """Return the points z, shape (n, ndim), which Gaussian k maps to the points x (n, ndim)."""
         t = np.linalg.solve(self.axes[k], (x - self.means[k]).T).T
         return np.asarray((t - features(t) @ self.bends[k].T if self.bends[k].any() else t) / self.sds[k])
 
     def to_x(self, z: FloatArray, k: int) -> FloatArray:
-        """Return the points x, shape (n, ndim), to which Gaussian k maps z (n, ndim)."""
+        """Return the points x, shape (n, ndim), to which Gaussian k maps the points z (n, ndim)."""
         t = z * self.sds[k]
         if self.bends[k].any():
             for i in range(t.shape[1] - 2, -1, -1):
@@ -63,7 +63,7 @@ class BentGaussians:
         return np.asarray(self.means[k] + t @ self.axes[k].T)
 
     def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
-        """Return weighted log-densities of the Gaussians widened by each factor of `wider`, (factors, k, n)."""
+        """Return weighted log-densities, (factors, k, n), of the Gaussians widened by each factor in `wider`."""
         ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
         for k, weight in enumerate(self.weights):
             square = np.sum(self.to_z(x, k) ** 2, axis=1)
@@ -73,14 +73,14 @@ class BentGaussians:
         return found
 
     def responsibilities(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability of each Gaussian for each point, (k, n), and the mixture's log-density, (n,)."""
+        """Return the probability that each point came from each Gaussian, (k, n), and the log-density, (n,)."""
         each = self.log_densities(x, np.ones(1))[0]
         total = np.asarray(logsumexp(each, axis=0))
         return np.exp(each - total), total
 
     @property
     def n_coefficients(self) -> int:
-        """Number of parameters of the mixture, which the fit penalises."""
+        """Number of parameters of the mixture, for the penalty of the fit."""
         ndim = self.means.shape[1]
         return int(np.count_nonzero(self.bends)) + len(self.weights) * (ndim + 1) * (ndim + 2) // 2
 
@@ -88,7 +88,7 @@ class BentGaussians:
 def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
     """Return the best mixture for points x (n, ndim) with weights (n,), and its penalised mean log-likelihood.
 
-    The fit begins with one Gaussian. Then every Gaussian is cut in two across its longest axis, again and again,
+    The fit begins with one Gaussian. All Gaussians are then cut in two across their longest axes, repeatedly,
     until this no longer helps. Raise LinAlgError if there are too few points for one Gaussian.
     """
     ndim, weight = x.shape[1], weight / weight.sum()
@@ -118,7 +118,7 @@ def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, flo
 def _run_sweeps(
     x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians
 ) -> tuple[BentGaussians, float]:
-    """Return the best mixture of up to `_SWEEPS` sweeps of expectation and maximisation, and its log-likelihood.
+    """Return the best mixture from up to `_SWEEPS` expectation–maximisation sweeps, and its log-likelihood.
 
     The log-likelihood is the weighted mean over the points.
     """
@@ -136,10 +136,10 @@ def _run_sweeps(
 
 
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
-    """Return the maximum-likelihood Gaussians of points with responsibilities r (k, n); None if all have too few.
+    """Return the Gaussians fitted to points with responsibilities r (k, n); None if each has too few points.
 
-    Each Gaussian is widened by its uncertainty: relative to the mean and covariance of n points, the squared
-    distance of another point is larger by 1 + (ndim + 2)/n.
+    Each Gaussian is widened to allow for its uncertainty: measured with the mean and covariance of n points, the
+    expected squared distance of a further point is larger by the factor 1 + (ndim + 2)/n.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

@@ -1,4 +1,4 @@
-"""Coordinates that straighten a bent density: transformed margins at walls, then a triangular map."""
+"""Coordinates that straighten a bent density: transformed margins at the walls, then a triangular map."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 BETTER = 0.05
-"""Smallest gain of log-likelihood per point for which a bend is used."""
+"""Smallest gain in log-likelihood per point for which a bend is used."""
 _USELESS = 0.01
-"""Gain of log-likelihood per point below which a coordinate is dropped from a bend."""
+"""Gain in log-likelihood per point below which a bend drops a coordinate."""
 _FAR = 6.0
-"""Number of standard deviations beyond which polynomials are continued as constants."""
+"""Number of standard deviations beyond which polynomials are held constant."""
 _SWEEPS, _NEWTON_STEPS = 8, 30
 _POINTS = 5
-"""Effective points needed per coefficient of a bend."""
+"""Effective number of points needed per coefficient of a bend."""
 _LEAST, _MOST_SHAPE = 1e-2, 1e3
 _INFINITE, _ENOUGH, _NEAREST = 0.8, 100, 0.1
-"""Shape parameter of a beta distribution below which a density counts as infinite at a wall, the effective points
-needed to tell, and the share of the points that are nearest to the wall."""
+"""Shape parameter of a beta distribution below which a density counts as infinite at a wall; effective number of
+points needed for this decision; share of the points used, nearest to the wall."""
 _PRODUCTS = 8e6
-"""Largest product of points and squared number of coefficients in a fit, which takes a tenth of a second."""
+"""Largest product of the number of points and the squared number of coefficients in a fit; it takes 0.1 s."""
 _TINY, _EPS = 1e-300, 2.0**-53
 
 
@@ -33,10 +33,10 @@ class Curve:
     """Coordinates x of points u in which a bent density is straight.
 
     The margins y_i(u_i) are standardised to z, and x_k = (z_k − m_k(z)) exp(−s_k(z)). m_k is quadratic and s_k
-    linear in the coordinates before k in `order`, so that the map is triangular and its determinant a product. m_k
-    makes a banana Gaussian, and s_k makes a funnel Gaussian. Between two bounds a margin may be Φ⁻¹(I_t(a, b))
-    with t = (u − lower)/(upper − lower), where I_t is the distribution function of a beta distribution: a density
-    that is infinite at a wall becomes Gaussian. Other margins are u itself.
+    linear in the coordinates that precede k in `order`, so the map is triangular and its determinant is a product.
+    m_k turns a banana into a Gaussian, and s_k does the same for a funnel. Between two bounds, a margin may be
+    Φ⁻¹(I_t(a, b)) with t = (u − lower)/(upper − lower), where I_t is the distribution function of a beta
+    distribution. A density that is infinite at a wall then becomes Gaussian. Every other margin is u_i itself.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Curve:
     centre, spread : ndarray, shape (ndim,)
         Centre and spread of the margins in z = (y − centre)/spread.
     order : ndarray of int, shape (ndim,)
-        Indices of the coordinates, each after the coordinates on which its m_k and s_k depend.
+        Indices of the coordinates; each follows those on which its m_k and s_k depend.
     location, scale : ndarray, shape (ndim, n)
-        Coefficients of m_k and s_k for the n `features`.
+        Coefficients of m_k and s_k with respect to the n `features`.
 
     References
     ----------
@@ -76,7 +76,7 @@ class Curve:
         return (z - phi @ self.location.T) * np.exp(-s), log_slope - np.sum(np.log(self.spread) + s, axis=1)
 
     def to_u(self, x: FloatArray) -> FloatArray:
-        """Return the points u of coordinates x, both (n, ndim).
+        """Return the points u that have coordinates x, both (n, ndim).
 
         Coordinates of u without a beta margin may lie outside the box.
         """
@@ -96,7 +96,7 @@ class Curve:
         return y, log_slope
 
     def from_margins(self, y: FloatArray) -> FloatArray:
-        """Return the points u of margins y, both (n, ndim)."""
+        """Return the points u that have margins y, both (n, ndim)."""
         u = y.copy()
         for i in np.flatnonzero(np.isfinite(self.a)):
             # measured from the nearer wall, where floating-point numbers are denser
@@ -108,14 +108,14 @@ class Curve:
 
 
 def features(z: FloatArray) -> FloatArray:
-    """Return the features 1, z_i, and z_i z_j with i ≤ j of points z (n, ndim), which are clipped at ±`_FAR`."""
+    """Return the features 1, z_i, and z_i z_j with i ≤ j, of points z (n, ndim) clipped to ±`_FAR`."""
     z = np.clip(z, -_FAR, _FAR)
     i, j = np.triu_indices(z.shape[1])
     return np.concatenate([np.ones((len(z), 1)), z, z[:, i] * z[:, j]], axis=1)
 
 
 def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
-    """Return a mask of the `features` of the coordinates `used` alone, without products if `linear`.
+    """Return a mask of the `features` that contain only the coordinates `used`; without products if `linear`.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
 
 
 def least_squares(phi: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the least-squares coefficients, (k,), of the features phi (n, k) for y (n,) with weights (n,)."""
+    """Return least-squares coefficients, (k,), of the features phi (n, k) fitted to y (n,) with weights (n,)."""
     weighted = phi.T * (weight / weight.sum())
     normal = weighted @ phi
     return np.asarray(np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-12), weighted @ y))
@@ -140,8 +140,8 @@ def least_squares(phi: FloatArray, y: FloatArray, weight: FloatArray) -> FloatAr
 def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
     """Return at most `most` of the points u (n, ndim), chosen by systematic resampling, and their new weights.
 
-    A point that is drawn several times is returned once, with a weight in proportion. All points are returned if
-    there are no more than `most`.
+    A point that is drawn several times is returned once, with a proportionally larger weight. If there are no more
+    than `most` points, all are returned.
     """
     weight = weight / weight.sum()
     if len(u) <= most:
@@ -152,11 +152,11 @@ def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArra
 
 
 def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> Curve:
-    """Return the curve whose coordinates make points u (n, ndim) with weights (n,) most nearly Gaussian.
+    """Return the curve in whose coordinates points u (n, ndim) with weights (n,) are most nearly Gaussian.
 
-    The coordinate for which a bend by all other coordinates gains the most log-likelihood is the last in the
-    order. The coordinate with the largest gain among the remaining coordinates precedes it, and so on, as long as
-    the gain is large enough.
+    The last coordinate in the order is the one that gains the most log-likelihood when it is bent with all the
+    others. The one before it is chosen in the same way from the remaining coordinates, and so on, as long as the
+    gain is large enough.
     """
     ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
     u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))
@@ -187,11 +187,11 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 
 
 def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return the gain of log-likelihood per point from bending coordinate k, and the coefficients of m_k and s_k.
+    """Return the gain in log-likelihood per point from bending coordinate k, and the coefficients of m_k and s_k.
 
     m_k and s_k depend on the coordinates `others`. The gain is relative to a linear m_k and a constant s_k, less
-    the expected gain of equally many useless coefficients. It is -inf if there are too few points. m_k is fitted
-    by weighted least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44, 461-465).
+    the gain expected from useless coefficients. It is -inf if there are too few points. m_k is fitted by weighted
+    least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44, 461-465).
     """
     phi, y = features(z), z[:, k]
     in_m, in_s = select_features(others), select_features(others, linear=True)
@@ -226,8 +226,8 @@ def fit_infinite_margins(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the shape parameters a and b, (ndim,), of beta margins where the density is infinite at a wall.
 
-    They are NaN for all other coordinates. A density that is finite at a wall has a shape parameter of 1 there (a
-    uniform or an exponential margin) or more.
+    They are NaN for all other coordinates. Where a density is finite at a wall, the shape parameter is at least 1
+    (uniform and exponential margins have 1).
     """
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):
@@ -241,10 +241,11 @@ def fit_infinite_margins(
 
 
 def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
-    """Return the power a of the probability t^a near 0, from the tenth of the points that are nearest.
+    """Return the exponent a if the probability below t is proportional to t^a near 0.
 
-    A beta distribution also has a shape below 1 where a density is finite but falls steeply from the wall. The
-    estimate is the maximum-likelihood one of a power law below the last of these points (Hill 1975, *Annals of
+    A beta distribution also has a shape parameter below 1 where a density is finite but falls steeply away from
+    the wall. The estimate therefore uses the tenth of the points that are nearest to 0. It is the
+    maximum-likelihood estimate of a power law below the farthest of these points (Hill 1975, *Annals of
     Statistics* 3, 1163–1174).
     """
     order = np.argsort(t)
@@ -271,7 +272,7 @@ def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
 
 
 def _normal_of_beta(t: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
-    """Return y = Φ⁻¹(I_t(a, b)) and log dy/dt, both in the shape of t."""
+    """Return y = Φ⁻¹(I_t(a, b)) and log dy/dt, both with the shape of t."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     below, above = betainc(a, b, t), betainc(b, a, 1.0 - t)
     log_tail = np.log(np.clip(np.minimum(below, above), _TINY, 0.5))

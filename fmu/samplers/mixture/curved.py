@@ -18,16 +18,17 @@ _WIDER, _DF = 1.5, 3.0
 """Width of the t distribution relative to the points, and its degrees of freedom."""
 _MOST_POINTS = 6000
 _NEGLIGIBLE = 1e-4
-"""Weight of a point, relative to the mean weight, below which a fit ignores the point."""
+"""Weight of a point, relative to the mean weight, below which a fit ignores it."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurvedMixture:
-    """A normalised mixture of bent Gaussians, each with a wider copy, and a t distribution that is not bent.
+    """A normalised mixture of bent Gaussians, each with a wider copy, and an unbent t distribution.
 
-    The t distribution, in the margins of the curve and wider than the fitted points, keeps the weights P/q of an
-    independence sampler bounded where a bend is extrapolated wrongly (Hesterberg 1995, Technometrics 37, 185-194).
-    The density is not truncated to the box; draws outside the box are rejected without an evaluation.
+    The t distribution applies to the margins of the curve and is wider than the fitted points. It keeps the
+    weights P/q of an independence sampler bounded where a bend is extrapolated wrongly (Hesterberg 1995,
+    Technometrics 37, 185-194). The density is not truncated to the box; draws outside the box are rejected without
+    an evaluation.
 
     Attributes
     ----------
@@ -52,16 +53,16 @@ class CurvedMixture:
 
     @property
     def gaussians(self) -> None:
-        """None, as further fits of a mixture of Gaussians cannot improve this mixture."""
+        """None, because this mixture cannot be refined by further fits of Gaussians."""
 
     @property
     def wide(self) -> float:
-        """Share of the wider copies."""
+        """Share of the wider copies in the weight of the Gaussians."""
         return _WIDE
 
     @property
     def _copies(self) -> tuple[FloatArray, FloatArray]:
-        """Factors by which a Gaussian and its copy are widened, and the shares of both."""
+        """Factors by which each Gaussian and its copy are widened, and the shares of the two."""
         return np.array([1.0, np.exp(0.5 * min(5.0 / len(self.mean), 2.5))]), np.array([1.0 - _WIDE, _WIDE])
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -95,13 +96,13 @@ class CurvedMixture:
         return np.asarray(np.logaddexp(np.log1p(-_SAFE) + bent, np.log(_SAFE) + safe))
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the covariance of `n` draws, clipped to the box, shape (ndim, ndim)."""
+        """Return the covariance, shape (ndim, ndim), of `n` draws clipped to the box."""
         u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
         ndim = len(self.mean)
         return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
 
     def settings(self) -> Tree:
-        """Return a dict of the settings of a `MixtureSampler` with this mixture."""
+        """Return the settings with which a `MixtureSampler` uses this mixture, as a dict."""
         return {"components": self}
 
     def arrays(self) -> dict[str, FloatArray]:
@@ -111,7 +112,7 @@ class CurvedMixture:
 
     @classmethod
     def of_arrays(cls, arrays: Tree) -> CurvedMixture:
-        """Return the mixture that `arrays` describes."""
+        """Return the mixture stored in `arrays`."""
         of_curve, of_parts = (
             {name: np.asarray(arrays[name]) for name in kind.__dataclass_fields__}
             for kind in (Curve, BentGaussians)
@@ -123,7 +124,7 @@ class CurvedMixture:
 def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
     """Return the mixture fitted to points u (n, ndim) with weights (n,).
 
-    Raise LinAlgError if the points are too few for a Gaussian or do not span the space.
+    Raise LinAlgError if there are too few points for a Gaussian or they do not span the space.
     """
     counts = weight > _NEGLIGIBLE * weight.mean()
     u, weight = thin_points(u[counts], weight[counts], _MOST_POINTS)
@@ -142,7 +143,7 @@ def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Floa
 
 
 def _fit_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
-    """Return the Gaussians fitted to points in the coordinates of a curve, and the penalised log-likelihood."""
+    """Return the Gaussians fitted to points in the coordinates of `curve`, and the penalised log-likelihood."""
     x, log_slope = curve.to_x(u)
     parts, score = fit_gaussians(x, weight)
     n = np.count_nonzero(curve.location) + np.count_nonzero(curve.scale)

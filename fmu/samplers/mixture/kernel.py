@@ -1,4 +1,4 @@
-"""The kernel of the mixture sampler: independent candidates, evaluated in blocks, and steps of a local kernel."""
+"""The kernel of the mixture sampler, which alternates between independent candidates and local steps."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from fmu.samplers.mixture.proposal import Mixture
 from fmu.types import AnyArray, FloatArray
 
 BLOCK = 25
-"""Number of candidates per chain in one batch: candidates do not depend on the position of the chain."""
+"""Number of candidates per chain that are evaluated in one batch, since they do not depend on the position of the
+chain."""
 LOG_WEIGHT, CANDIDATE = "log_weight", "candidate_log_weight"
-"""Names of statistics of a run: log P − log q after each step, and at the candidate of the step (NaN if none)."""
+"""Names of two statistics of a run: log P − log q after each step, and at the candidate of the step (NaN if
+none)."""
 _FAR = 50.0
 _OF_BLOCK = ("position", "log_prob", "log_weight")
 _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
@@ -23,32 +25,33 @@ _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
 
 @dataclass(frozen=True)
 class MixtureKernel:
-    """Kernel that takes local steps and jumps to candidates of a mixture in turn, bound to a density.
+    """Kernel that alternates between local steps and jumps to candidates drawn from a mixture.
 
-    A candidate of weight w* = P/q is accepted with probability min(1, w*/w), with the weight w of the position.
-    The extra arrays of its State are:
+    A candidate of weight w* = P/q is accepted with probability min(1, w*/w), where w is the weight of the present
+    position. The extra arrays of the State are:
 
     - ``step`` (): the number of steps taken;
     - ``block_position`` (BLOCK, chains, ndim), ``block_log_prob`` and ``block_log_weight`` (BLOCK, chains): the
       block of candidates;
     - ``next`` (): the index of the next candidate in the block;
     - ``log_weight`` (chains,): log w at the positions;
-    - ``fit`` (): the number of the fit of the mixture that block and weights belong to;
+    - ``fit`` (): the number of the fit of the mixture to which block and weights belong;
     - ``local_...``: the statistics of the last local step.
 
     Attributes
     ----------
     proposal : Mixture, CurvedMixture or None
-        None before the first fit: every step is then a local step.
+        The mixture; None before the first fit, when every step is a local step.
     local : LocalKernel
     local_steps, jumps : int
-        Numbers of local steps and of jumps, which are taken in turn.
+        Numbers of local steps and of jumps in each cycle.
     fit : int
         Number of the fit of the mixture; candidates and weights of an earlier fit are not used.
     gathers : bool
-        Whether a chain with a log-density below the candidates' median, by more than `_FAR` plus one per
-        coordinate, accepts every candidate above the median. For warm-up only: a chain that starts so far out that
-        no local step succeeds would never move, as its weight is infinite.
+        Whether a chain that lags behind accepts every candidate above the median log-density of the candidates. A
+        chain lags behind if it is below this median by more than `_FAR` plus one per coordinate. For warm-up only:
+        a chain that starts too far out for any local step to succeed would otherwise never move, because its
+        weight is infinite.
     """
 
     target: Target
@@ -60,7 +63,7 @@ class MixtureKernel:
     gathers: bool = False
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting positions with the local kernel; return the state, and an `Info` with the cost."""
+        """Evaluate the starting points with the local kernel; return the state, and an `Info` with the cost."""
         state, info = self.local.init(positions)
         chains, ndim = positions.shape
         extra = {
@@ -149,5 +152,5 @@ class MixtureKernel:
 
 
 def _nothing(value: AnyArray) -> AnyArray:
-    """Return the value that a statistic of local steps has at a jump: NaN for floats, 0 for counts, else False."""
+    """Return the placeholder that a jump records for a statistic of local steps: NaN, 0 or False, by its type."""
     return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

@@ -25,7 +25,8 @@ from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
 
 _JUMPS, _JUMPS_IF_GOOD = 39, 79
-"""Numbers of candidates per local step. A local step takes about ten evaluations: a fifth of all, or a tenth."""
+"""Numbers of candidates per local step. A local step takes about ten evaluations, that is a fifth or a tenth of
+all."""
 
 
 @check_arguments
@@ -34,32 +35,32 @@ class MixtureSampler(Sampler):
     """Independence Metropolis-Hastings with a mixture of truncated Gaussians, and local steps in between.
 
     The log-density of a well-measured structure is nearly quadratic within its bounds. Each component is a
-    quadratic fitted to the log-density, truncated by the bounds and drawn from with its exact density; a candidate
-    is accepted with probability min(1, w*/w), where w = P/q. Candidates do not depend on the position, so that
-    chains cross between separated maxima in one step. A share of local steps reaches regions that the mixture
-    misses. The mixture is fitted in warm-up and then frozen.
+    quadratic fitted to the log-density and truncated at the bounds; the density of its draws is known exactly. A
+    candidate is accepted with probability min(1, w*/w), where w = P/q. Candidates do not depend on the present
+    position, so chains cross between separated maxima in one step. Some local steps reach the regions that the
+    mixture misses. The mixture is fitted in warm-up and then frozen.
 
     Parameters
     ----------
     components : sequence of Quadratic, or CurvedMixture, optional
-        Components from which the fit begins, in scaled units, such as the maxima of the posterior with their
-        curvature, which `fmu.sample` passes. If they are not given, the first components are fitted to the draws
-        of local steps, which take the first half of the warm-up or less. Where the density turns out to be bent,
-        hollow or infinite at a wall, warm-up learns a `CurvedMixture`.
+        Components from which the fit begins, in scaled units. `fmu.sample` passes the maxima of the posterior with
+        their curvatures. By default the first components are fitted to the draws of local steps, which take up to
+        half of the warm-up. Where the density turns out to be bent, hollow or infinite at a wall, warm-up learns a
+        `CurvedMixture`.
     weights : vector, optional
         Weights of the components; equal if not given.
     bent : vector of bool, optional
-        Mask of the coordinates that the components use as log(1 + 10 (u − lower)) instead of u; see `Warp`; learnt
-        if not given.
+        Mask of the coordinates that are transformed to log(1 + 10 (u − lower)) in the components; see `Warp`.
+        Learnt if not given.
     wide : float, optional
-        Share of every component's weight that its wider copies have, so that w stays bounded. If it is not given,
-        warm-up chooses 0.05 where the effective share of the candidates is at least 0.9, else 0.1.
+        Share of the weight of each component that goes to its wider copies, which keep w bounded. By default,
+        warm-up chooses 0.05 if the effective share of the candidates is at least 0.9, else 0.1.
     local : LocalSampler, optional
         Settings of the local steps; by default HMC if the density has exact gradients, otherwise slice sampling.
     local_steps, jumps : int
-        Numbers of local steps and of candidates of the mixture, which are taken in turn. If `jumps` is not given,
-        it is 39, or 79 where `wide` is below 0.1. If `local` is given and at least half of the steps are local,
-        the sampler is called by the name of `local`; see `with_jumps`.
+        Numbers of local steps and of candidates of the mixture in each cycle. By default `jumps` is 39, or 79 if
+        `wide` is below 0.1. If `local` is given and at least half of the steps are local, the sampler goes by the
+        name of `local`; see `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
 
@@ -96,7 +97,7 @@ class MixtureSampler(Sampler):
 
     @property
     def takes_gradients(self) -> bool:
-        """Whether each evaluation includes the gradient: False, as candidates have no gradients."""
+        """Whether each evaluation includes the gradient: False, because candidates have no gradients."""
         return False
 
     def __post_init__(self) -> None:
@@ -127,7 +128,7 @@ class MixtureSampler(Sampler):
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return the settings with components from which the fit begins, unless `components` is given."""
+        """Return the settings with the maxima as initial components, unless `components` is given."""
         if self.components is not None:
             return self
         return replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))
@@ -140,7 +141,7 @@ class MixtureSampler(Sampler):
         return MixtureKernel(Target(density), mixture, local, self.local_steps, jumps)
 
     def jumps_with(self, wide: float) -> int:
-        """Return the number of candidates between local steps if the wider copies have the share `wide`."""
+        """Return the number of candidates per cycle if the wider copies have the share `wide`."""
         if self.jumps is not None:
             return self.jumps
         return _JUMPS if wide >= WIDE else _JUMPS_IF_GOOD
@@ -161,22 +162,22 @@ class MixtureSampler(Sampler):
         return Mixture(components, np.asarray(self.weights), warp, wide)
 
     def local_of(self, density: LogDensity) -> LocalSampler:
-        """Return the settings of the local steps."""
+        """Return the settings of the local steps: `local` or, if it is None, the default for `density`."""
         if self.local is not None:
             return self.local
         return HamiltonianMonteCarlo() if Target(density).solves_per_gradient == 1 else Slice()
 
 
 def with_jumps(sampler: Any) -> MixtureSampler:
-    """Return a sampler whose every other step is a candidate of a mixture, so that chains cross between maxima.
+    """Return a sampler that alternates steps of `sampler` with candidates of a mixture, to cross between maxima.
 
-    Raise ValueError if `sampler` is not a local sampler. With a candidate in every tenth step of
-    Metropolis-Hastings, 4000 draws of cantilever-section paired by number are worth 400 independent draws, and
-    R-hat is 1.011 to 1.021. With a candidate in every other step, the 4000 draws are worth 1600, and R-hat is
-    below 1.005.
+    Raise ValueError if `sampler` is not a local sampler. With Metropolis-Hastings and a candidate in every tenth
+    step, 4000 draws of cantilever-section paired by number are worth 400 independent draws, and R-hat is 1.011 to
+    1.021. With a candidate in every second step they are worth 1600, and R-hat is below 1.005.
 
-    Moves between modes and local moves in turn: Tjelmeland & Hegstad (2001), Scand. J. Stat. 28, 205-223; Ahn,
-    Chen & Welling (2013), AISTATS 31, 108-116; Pompe, Holmes & Łatuszyński (2020), Ann. Statist. 48, 2930-2952.
+    On alternating local moves and moves between modes: Tjelmeland & Hegstad (2001), Scand. J. Stat. 28, 205-223;
+    Ahn, Chen & Welling (2013), AISTATS 31, 108-116; Pompe, Holmes & Łatuszyński (2020), Ann. Statist. 48,
+    2930-2952.
     """
     if not sampler.is_local:
         known = ", ".join(local_samplers())

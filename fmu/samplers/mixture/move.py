@@ -1,4 +1,4 @@
-"""A move for any emcee ``EnsembleSampler`` that proposes candidates from a mixture of Gaussians."""
+"""A move for any emcee ``EnsembleSampler`` that draws candidates from a mixture of Gaussians."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import BoolArray, FloatArray
 
 _FIRST_FIT = 10
-"""Number of steps after which warm-up first fits the mixture; it fits again each time the number has doubled."""
+"""Number of warm-up steps before the first fit of the mixture; it is refitted whenever this number has doubled."""
 _MOST_POINTS = 4000
 _FAR = 10.0
 """Walkers whose log-probability is this far below the median, plus one per coordinate, are not used in a fit."""
@@ -28,26 +28,26 @@ _FAR = 10.0
 
 @check_arguments
 class MixtureMove(Move):
-    """Move of emcee with independent candidates from a mixture of truncated Gaussians fitted to the walkers.
+    """emcee move that draws independent candidates from a mixture of truncated Gaussians fitted to the walkers.
 
-    As in other moves of emcee, the walkers are divided at random into two halves that are moved in turn. The
-    mixture q for one half is fitted to the positions and log-probabilities of the other half alone. Given the
-    other half, q is fixed, and a walker x moves to its candidate x* with probability
-    min(1, P(x*) q(x)/(P(x) q(x*))). This leaves the posterior invariant in every step, without any warm-up.
+    As in other emcee moves, the walkers are divided at random into two halves that are moved in turn. The mixture
+    q for one half is fitted only to the positions and log-probabilities of the other half. Given the other half, q
+    is fixed, and a walker x moves to its candidate x* with probability min(1, P(x*) q(x)/(P(x) q(x*))). This
+    leaves the posterior invariant in every step, without any warm-up.
 
-    ``run_mcmc(..., tune=True)`` is a warm-up that fits the mixture to all walkers, after 10, 20, 40, ... steps,
-    each time to the later half of these steps. The draws of the warm-up are to be discarded. Afterwards the
-    mixture is frozen, which leaves the posterior invariant, too. The frozen mixture is better, as it is fitted to
-    more points, and it saves the fit in every step.
+    ``run_mcmc(..., tune=True)`` is a warm-up: after 10, 20, 40, ... steps, the mixture is fitted to all walkers in
+    the later half of these steps. Discard the draws of the warm-up. Afterwards the mixture is frozen, which also
+    leaves the posterior invariant. The frozen mixture is better, because it is fitted to more points, and no step
+    needs a fit.
 
-    A candidate does not depend on the position of its walker. Hence walkers cross between separate modes, but a
-    walker where the density of the mixture is far too low may stay there for long. Adding another move avoids
-    this: ``moves=[(fmu.MixtureMove(problem), 0.8), (emcee.moves.DEMove(), 0.2)]``.
+    A candidate does not depend on the position of its walker, so walkers cross between separate modes. But a
+    walker may be stuck for long where the density of the mixture is far too low. Add another move to avoid this:
+    ``moves=[(fmu.MixtureMove(problem), 0.8), (emcee.moves.DEMove(), 0.2)]``.
 
     Parameters
     ----------
     density : LogDensity, optional
-        Object that gives the bounds ``lower`` and ``upper``, shape (ndim,), such as an `UpdatingProblem`.
+        Object with the bounds ``lower`` and ``upper``, shape (ndim,), such as an `UpdatingProblem`.
     lower, upper : array_like, shape (ndim,), optional
         The bounds, which replace those of `density`. Without bounds, candidates may lie where the log-probability
         is -inf.
@@ -55,7 +55,7 @@ class MixtureMove(Move):
     Raises
     ------
     ValueError
-        If `density` has no bounds, or the bounds differ in shape, or a lower bound is not below its upper bound.
+        If `density` has no bounds, the bounds differ in shape, or a lower bound is not below its upper bound.
 
     References
     ----------
@@ -99,7 +99,7 @@ class MixtureMove(Move):
     def candidates(
         self, s: FloatArray, c: FloatArray, log_prob: FloatArray, random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return candidates x* for the walkers x, and the logarithms of the acceptance factors q(x)/q(x*).
+        """Return candidates x* for the walkers x, and the logarithms of their acceptance factors q(x)/q(x*).
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class MixtureMove(Move):
         return q, proposal.log_density(s) - proposal.log_density(q)
 
     def tune(self, state: State, accepted: BoolArray) -> None:
-        """Learn from the step that was just made; emcee calls this method if ``tune=True``."""
+        """Learn from the last step; emcee calls this method if ``tune=True``."""
         self._seen.append((state.coords.copy(), state.log_prob.copy()))
         steps = len(self._seen)
         doublings = np.log2(steps / _FIRST_FIT)
@@ -153,10 +153,10 @@ class Proposal:
     def fit_points(
         cls, position: FloatArray, log_prob: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> Proposal | None:
-        """Return the proposal fitted to points with log-densities; None if these are too few or lie in a plane.
+        """Return the proposal fitted to points; None if there are too few of them or they do not span the space.
 
-        Coordinates with two finite bounds are scaled by the distance between the bounds, other coordinates by the
-        points' standard deviation.
+        Coordinates with two finite bounds are scaled by the distance between the bounds, all others by the
+        standard deviation of the points.
         """
         ndim = position.shape[1]
         near = np.isfinite(log_prob)

@@ -24,16 +24,17 @@ from fmu.types import FloatArray
 MOST = 8
 """Largest number of components of a mixture."""
 GOOD, POOR = 0.9, 0.6
-"""Effective share of the draws above which no component is split, and below which fits of moments are tried."""
+"""Effective share of the draws above which no component is split, and below which components are fitted by
+moments."""
 WIDE, LESS_WIDE = 0.1, 0.05
-"""Share of a component's weight that its wider copies have, so that weights P/q stay bounded: usually, and in
-draws from a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 185-194."""
+"""Share of the weight of a component that goes to its wider copies, which keep the weights P/q bounded: the usual
+share, and the share for a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 185-194."""
 _POINTS = 3
-"""Number of points per coefficient that the fit of a quadratic needs."""
+"""Number of points per coefficient needed to fit a quadratic."""
 _LEAST = 1e-3
 """Share of the probability below which a component with too few points is dropped."""
 _SURE = 6.0
-"""Effective points per coefficient from which on a fit needs no validation on points not used in the fit."""
+"""Effective number of points per coefficient above which a fit needs no cross-validation."""
 _MILDER = 0.7
 """Exponent applied to weights if a few points have nearly all the weight."""
 _SWEEPS = 3
@@ -53,7 +54,7 @@ class Mixture:
         Positive weights, which are normalised here.
     warp : Warp
     wide : float
-        Share of every component's weight that its wider copies have.
+        Share of the weight of each component that goes to its wider copies.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Mixture:
 
     @classmethod
     def of_arrays(cls, arrays: Tree, lower: FloatArray, upper: FloatArray) -> Mixture:
-        """Return the mixture that `arrays` describes."""
+        """Return the mixture stored in `arrays`."""
         quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
         covariances = [None if np.isnan(c).any() else c for c in arrays["covariance"]]
         quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, covariances, strict=True)]
@@ -83,7 +84,7 @@ class Mixture:
         return cls(quadratics, arrays["weights"], warp, float(arrays["wide"]))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return a dict of arrays with one row per component; the covariance is NaN if there is none."""
+        """Return the mixture as a dict of arrays with one row per component; a missing covariance is NaN."""
         found = {name: np.array([vars(q)[name] for q in self.quadratics]) for name in _FIELDS}
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
         found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
@@ -91,17 +92,17 @@ class Mixture:
         return found | {"weights": self._given, "bent": self.warp.bent.astype(float), "wide": np.array(self.wide)}
 
     def settings(self) -> Tree:
-        """Return a dict of the settings of a `MixtureSampler` with this mixture."""
+        """Return the settings with which a `MixtureSampler` uses this mixture, as a dict."""
         weights, bent = tuple(self.weights.tolist()), tuple(self.warp.bent.tolist())
         return {"components": self.quadratics, "weights": weights, "bent": bent, "wide": self.wide}
 
     @property
     def gaussians(self) -> Mixture:
-        """The mixture itself, as further fits can improve a mixture of Gaussians."""
+        """The mixture itself, because further fits can improve it."""
         return self
 
     def with_wide(self, wide: float) -> Mixture:
-        """Return the mixture with the share `wide` of the wider copies."""
+        """Return the mixture with the share of the wider copies changed to `wide`."""
         return Mixture(self.quadratics, self._given, self.warp, wide)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -113,7 +114,7 @@ class Mixture:
         return self.warp.to_u(x)
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the weighted mean of the components' covariances, (ndim, ndim), from `n` draws of each."""
+        """Return the weighted mean of the covariances of the components, (ndim, ndim), each from `n` draws."""
         ndim = len(self.warp.lower)
         total = 1e-12 * np.eye(ndim)
         for k, weight in enumerate(self.weights):
@@ -144,7 +145,7 @@ class Points:
     ----------
     position : ndarray, shape (n, ndim)
     log_prob, weight : ndarray, shape (n,)
-        Finite log-densities, and weights with which the points represent the density.
+        Finite log-densities, and the weights with which the points represent the density.
     gradient : ndarray, shape (n, ndim), optional
         Gradients of the log-density.
     """
@@ -156,10 +157,10 @@ class Points:
 
     @classmethod
     def weigh_draws(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
-        """Return draws from a density q as points with weights P/q, of which the largest are truncated.
+        """Return draws from a density q as points with weights P/q, with the largest weights truncated.
 
-        Where a few draws have nearly all the weight, the weights are raised to a power below 1: the fit is then
-        wider than P, and the next draws represent P better.
+        If a few draws have nearly all the weight, the weights are raised to a power below 1. The fit is then wider
+        than P, and the next draws represent P better.
         """
         log_w = log_prob - log_density
         ok = np.isfinite(log_w)
@@ -173,21 +174,22 @@ class Points:
         return float(_effective_size(self.weight))
 
     def every_other(self, first: int) -> Points:
-        """Return every other point, from index `first` on."""
+        """Return every second point, from index `first` on."""
         half = slice(first, None, 2)
         gradient = None if self.gradient is None else self.gradient[half]
         return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
 
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return the points in the coordinates x of `warp`, with the log-densities of x and gradients or None."""
+        """Return the points in the coordinates x of `warp`, the log-densities of x, and the gradients or None."""
         log_prob = self.log_prob + warp.log_stretch(self.position)
         slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
         return warp.to_x(self.position), log_prob, slope
 
     def effective_share(self, log_density: FloatArray) -> float:
-        """Return the Kish effective size per draw of draws from a density q, estimated from these points.
+        """Return the effective share of draws from a density q: Kish's effective size per draw.
 
-        With r = log P − log q the effective size per draw is 1/(E[eʳ] E[e⁻ʳ]), with expectations over P.
+        It is estimated from these points. With r = log P − log q, it is 1/(E[eʳ] E[e⁻ʳ]), with expectations over
+        P.
         """
         r = self.log_prob - log_density
         w = np.log(np.maximum(self.weight, 1e-300) / self.weight.sum())
@@ -197,12 +199,12 @@ class Points:
 def fit_mixture(points: Points, start: Mixture) -> Mixture:
     """Return the mixture fitted to a log-density, starting from a mixture close to the log-density.
 
-    Coordinates are bent where this brings the log-density closer to a quadratic. Each component's quadratic is
-    fitted to the points in proportion to the component's responsibility for the points, and the component's weight
-    is the sum of these responsibilities (a few steps of expectation and maximisation). A component that has too
+    Coordinates are bent if this brings the log-density closer to a quadratic. In a few expectation–maximisation
+    steps, the quadratic of each component is fitted to the points, weighted by the probability that they came from
+    it (its responsibility). The weight of the component is the sum of its responsibilities. A component with too
     few points, such as a maximum with a few percent of the probability, stays unchanged. Components are split as
-    long as the mixture is expected to be less than good and there are enough points. Where this does not help, as
-    along a bent ridge, components take the mean and the covariance of their points instead.
+    long as the mixture is not good and there are enough points. Where this does not help, as along a bent ridge,
+    components take the mean and the covariance of their points instead.
     """
     responsibility = start.responsibilities(points.position)
     warp = _choose_warp(points, responsibility, start.warp)
@@ -227,16 +229,16 @@ def fit_mixture(points: Points, start: Mixture) -> Mixture:
 
 
 def _effective_size(weight: FloatArray) -> FloatArray:
-    """Return Kish's effective number of points with weights (..., n), shape (...)."""
+    """Return Kish's effective number of points, shape (...), given weights (..., n)."""
     of_largest = weight / np.maximum(weight.max(axis=-1, keepdims=True), 1e-300)
     return np.asarray(of_largest.sum(axis=-1) ** 2 / np.maximum(np.sum(of_largest**2, axis=-1), 1e-300))
 
 
 def refit_mixture(points: Points, start: Mixture) -> Mixture:
-    """Return the mixture fitted to a log-density, or `start` if few points show no gain in cross-validation.
+    """Return the mixture fitted to a log-density, or `start` if cross-validation on few points shows no gain.
 
-    A quadratic fitted to hardly more points than coefficients can be far off elsewhere. If there are so few
-    points, a fit to half of the points must therefore suit the other half better than `start` does.
+    A quadratic fitted to hardly more points than it has coefficients can be far off elsewhere. With so few points,
+    a fit to half of them must therefore suit the other half better than `start` does.
     """
     n = n_coefficients(points.position.shape[1])
     if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
@@ -246,7 +248,7 @@ def refit_mixture(points: Points, start: Mixture) -> Mixture:
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
-    """Return the gain in effective share over `start`, on half of the points, of a fit to the other half."""
+    """Return the gain in effective share over `start` if a fit to half of the points is tested on the others."""
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):
@@ -256,7 +258,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 
 
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
-    """Return the warp with each coordinate bent or not, whichever brings the log-density closer to a quadratic."""
+    """Return the warp that bends those coordinates for which this brings the log-density closer to a quadratic."""
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
@@ -275,7 +277,7 @@ def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp
 def _measure_misfit(
     x: FloatArray, value: FloatArray, slope: FloatArray | None, weights: Iterable[FloatArray]
 ) -> float:
-    """Return the weighted sum of squared residuals of a log-density from quadratics, one for each of `weights`."""
+    """Return the weighted sum of squared residuals of a log-density from quadratics, one per set of weights."""
     total = 0.0
     for w in weights:
         if w.sum() > 0:
@@ -292,7 +294,7 @@ def _settle_components(
     *,
     by_moments: bool = False,
 ) -> tuple[Mixture, float]:
-    """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share.
+    """Return the best mixture after a few sweeps from responsibilities (components, n), and its effective share.
 
     A component with too few points stays as in `before`, or is dropped.
     """
@@ -326,7 +328,7 @@ def _settle_components(
 
 
 def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
-    """Return a list of responsibilities of 2, 4 and 8 groups, from halving groups across their longest axes."""
+    """Return a list of responsibilities of 2, 4 and 8 groups, made by halving groups across their longest axes."""
     x, found = warp.to_x(points.position), list[FloatArray]()
     groups = [np.ones(len(points.weight), dtype=bool)]
     needed = 2 * _POINTS * x.shape[1]
@@ -346,10 +348,10 @@ def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
 
 
 def _split_component(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
-    """Return responsibilities with the worst component cut in two, and the list of components.
+    """Cut the worst component in two; return the responsibilities and the list of components.
 
-    The component is cut across the principal axis for which two quadratics leave the smallest residuals. In the
-    list of components both halves are None. Return None if the component has too few points.
+    The component is cut across the principal axis for which two quadratics leave the smallest residuals. Both
+    halves are None in the list of components. Return None if the component has too few points.
     """
     responsibility = mixture.responsibilities(points.position)
     r = points.log_prob - mixture.log_density(points.position)

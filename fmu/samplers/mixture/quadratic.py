@@ -17,16 +17,17 @@ _FLAT = 20.0
 _MOST_WIDENED = 2.5
 _PULL = 1e-3
 _CLIMBS, _LONGEST = 8, 3.0
-"""Largest number of steps of a climb, and the longest step along an axis, in lengths of the axis."""
+"""Largest number of steps in a climb, and largest step along an axis, in lengths of the axis."""
 _LEVEL, _CLIFF = 0.1, 50.0
-"""Smallest curvature of a step and smallest gain worth a further step; largest drop to a neighbouring point."""
+"""Smallest curvature assumed in a step, and gain below which the climb ends; and the largest drop to a
+neighbouring point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """Second-order expansion of log P at a point u₀: m(u) = log_prob + g·d − dᵀHd/2 with d = u − u₀.
 
-    At a maximum on a bound g does not vanish: the density falls off exponentially from the wall.
+    At a maximum on a bound, g does not vanish: the density decreases exponentially away from the wall.
 
     Attributes
     ----------
@@ -46,7 +47,7 @@ class Quadratic:
     covariance: FloatArray | None = None
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return the quadratic m at points u (n, ndim), shape (n,)."""
+        """Return the values of m at points u (n, ndim), shape (n,)."""
         d = u - self.position
         return self.log_prob + d @ self.gradient - 0.5 * np.einsum("ni,ij,nj->n", d, self.hessian, d)
 
@@ -57,12 +58,13 @@ class Quadratic:
         return SequentialNormal(centre, precision / temperature, lower, upper)
 
     def proposals(self, lower: FloatArray, upper: FloatArray) -> list[SequentialNormal]:
-        """Return a list of the Gaussian ∝ exp(m) truncated to the box, and of one or two wider copies.
+        """Return the Gaussian ∝ exp(m) truncated to the box, followed by one or two wider copies.
 
-        The first copy is wider along all principal axes. The second copy has the covariance of the points, if the
-        quadratic was fitted to points, and is far wider along the axes along which the density is hardly narrower
-        than the box or the prior; without such axes there is no second copy. The widening is limited so that the
-        density at the centre of a copy stays above e^(-5/2) of the Gaussian's density there.
+        The first copy is wider along all principal axes. The second copy is far wider, but only along axes on
+        which the density is hardly narrower than the box or the prior; it is omitted if there are none. If the
+        quadratic was fitted to points, the second copy has their covariance along the other axes. The widening is
+        limited so that the density at the centre of a copy stays above e^(-5/2) times the density of the Gaussian
+        there.
         """
         found = [self.proposal(lower, upper, t) for t in (1.0, _temperature(len(lower)))]
         centre, precision = self.position, definite(self.hessian)
@@ -79,7 +81,7 @@ class Quadratic:
 
 
 def definite(hessian: FloatArray) -> FloatArray:
-    """Return a symmetric matrix with its eigenvalues clipped, so that it and its inverse are positive definite."""
+    """Return a symmetric matrix with its eigenvalues clipped; it and its inverse are then positive definite."""
     values, vectors = np.linalg.eigh(hessian)
     values = np.minimum(values, STEEPEST)
     values = np.maximum(values, max(FLATTEST, values[-1] / _CONDITION))
@@ -91,7 +93,7 @@ def _temperature(ndim: int) -> float:
 
 
 def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
-    """Return the kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian's (Mardia 1970)."""
+    """Return the kurtosis of points x (n, ndim) with weights (n,) relative to that of a Gaussian (Mardia 1970)."""
     n, z = x.shape[1], standardise(x, weight)[0]
     return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
 
@@ -106,10 +108,10 @@ def fit_quadratic(
 ) -> Quadratic:
     """Return the weighted least-squares fit of a quadratic to log-densities and their gradients.
 
-    The fit uses coordinates in which the weighted points have unit covariance. In these coordinates, curvatures
-    that the points do not determine are drawn towards those of a Gaussian with the covariance of the points, and
-    the precision matrix is made positive definite: with fewer points than coefficients, or along a coordinate
-    between two close bounds, the points hardly determine the curvature.
+    The fit uses coordinates in which the weighted points have unit covariance. With fewer points than
+    coefficients, or along a coordinate between two close bounds, the points hardly determine the curvature. Such
+    curvatures are pulled towards those of a Gaussian with the covariance of the points, and the precision matrix
+    is made positive definite.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def fit_quadratic(
     log_prob, weight : ndarray, shape (n,)
         Finite log-densities; weights that are not all zero.
     slope : ndarray, shape (n, ndim), optional
-        Gradients of the log-density, which have the same weight as the log-densities in these coordinates.
+        Gradients of the log-density, with the same weight as the log-densities in these coordinates.
     """
     z, mean, L = standardise(u, weight)
     c = coefficients(z, log_prob, weight, None if slope is None else slope @ L)[0]
@@ -130,8 +132,8 @@ def fit_quadratic(
 def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like: FloatArray) -> Quadratic:
     """Climb towards a maximum by finite differences; return the quadratic around the highest point found.
 
-    The climb takes at most 8 Newton steps along axes that are scaled by the curvatures found. Each step takes
-    2 ndim + 1 evaluations and no gradients. The quadratic has no mixed second derivatives along these axes.
+    The climb takes at most 8 Newton steps, along axes that are scaled by the curvatures found so far. Each step
+    takes 2 ndim + 1 evaluations and no gradients. The quadratic has no mixed second derivatives along these axes.
 
     Parameters
     ----------
@@ -180,10 +182,10 @@ def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArr
 def coefficients(
     z: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Return the coefficients of the quadratic in standardised z, and the weighted mean square residual.
+    """Return the coefficients of the quadratic in standardised z, and the weighted mean squared residual.
 
-    The residual is that of the log-density alone. Normal equations are accurate enough: z has unit covariance, and
-    `_PULL` bounds the condition number of the equations by 1/_PULL².
+    The residual does not include the gradients. Normal equations are accurate enough, because z has unit
+    covariance and `_PULL` limits their condition number to 1/_PULL².
     """
     ndim = z.shape[1]
     i, j = np.triu_indices(ndim)

@@ -15,12 +15,12 @@ _FAR_OUT = 1e7  # standard deviations beyond which the log of a normal's mass is
 
 
 class SequentialNormal:
-    """A distribution close to a Gaussian truncated to a box, even if its centre lies far outside the box.
+    """A distribution close to a Gaussian truncated to a box, even if the Gaussian is centred far outside the box.
 
-    With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal of mean μ_i and variance 1,
-    truncated where u_i leaves the box given the previous z_j (Geweke, Hajivassiliou and Keane). The means μ are
-    the minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio of the Gaussian to
-    q. The density q(u) of the draws is known for any μ.
+    With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal distribution with mean μ_i
+    and variance 1. It is truncated where u_i would leave the box, given the previous z_j (Geweke, Hajivassiliou
+    and Keane). The means μ are the minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds
+    the ratio of the Gaussian to q. The density q(u) of the draws is known for any μ.
 
     The coordinate that the box restricts most comes first; the next is the most restricted coordinate given the
     expected values of the previous coordinates (Gibson, Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3).
@@ -61,7 +61,7 @@ class SequentialNormal:
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the log-density log q at points u (n, ndim) inside the box, shape (n,)."""
+        """Return the log-density of the draws at points u (n, ndim) inside the box, shape (n,)."""
         z = np.linalg.solve(self.L, (u[:, self.order] - self.mean).T).T
         log_q = -0.5 * np.sum((z - self.tilt) ** 2, axis=1)
         log_q -= np.sum(np.log(np.diag(self.L))) + len(self.mean) * _LOG_ROOT_2PI
@@ -77,7 +77,7 @@ class SequentialNormal:
         return np.asarray(log_q)
 
     def _limits(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the lower and upper limit of z_i given the previous z_j, each (n,), or (1,) for i = 0."""
+        """Return the lower and upper limits of z_i given the previous z_j, each of shape (n,); (1,) for i = 0."""
         if i == 0:  # the same in every row
             z = z[:1]
         # einsum adds in the same order for every batch size
@@ -85,7 +85,7 @@ class SequentialNormal:
         return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
 
     def _minimax(self, start: FloatArray) -> FloatArray:
-        """Return the minimax tilting μ, shape (ndim,), from the saddle point; zeros if the search fails."""
+        """Return the minimax tilting μ, shape (ndim,), found as a saddle point; zeros if the search fails."""
         from scipy.optimize import root
 
         n = len(start)
@@ -129,7 +129,7 @@ def _order_coordinates(
 def _mean_of_cut_normal(a: float, b: float) -> float:
     """Return the mean of the standard normal truncated to [a, b]; NaN if there is no mass between a and b.
 
-    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail it is the limit at which the density is higher.
+    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail, it is taken as the limit with the higher density.
     """
     low, high = (-b, -a) if a > 0 else (a, b)
     if -math.inf < high < -_FAR_OUT:
@@ -143,7 +143,7 @@ def _mean_of_cut_normal(a: float, b: float) -> float:
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return log(Φ(b) − Φ(a)), without cancellation in either tail."""
+    """Return log(Φ(b) − Φ(a)), avoiding cancellation in both tails."""
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
     # the limits may be so close together, or so far out, that there is no mass between them
@@ -153,7 +153,7 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
-    """Return the quantiles of the standard normal truncated to [a, b] at the probabilities `p`."""
+    """Return the quantiles, at probabilities `p`, of the standard normal truncated to [a, b]."""
     flip = a > 0
     low, high = np.where(flip, -b, a), np.where(flip, -a, b)
     with np.errstate(divide="ignore"):

@@ -10,16 +10,16 @@ from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import BoolArray, FloatArray
 
 _BEND = 0.1
-"""Distance from a bound, in scaled units, at which log1p turns from linear to logarithmic."""
+"""Distance from a bound, in scaled units, at which a bent coordinate changes from linear to logarithmic."""
 
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """Coordinates x in which skewed posteriors are closer to Gaussian: log(1 + (u − lower)/s) where bent, else u.
+    """Coordinates x in which skewed posteriors are nearly Gaussian: log(1 + (u − lower)/s) if bent, else u.
 
-    Near the lower bound a bent x is linear in u, so that a posterior at the bound keeps its shape. Far from the
-    bound x is logarithmic in u: log-normal posteriors and the tails of inferred deviations become Gaussian. The
-    length s is `_BEND`.
+    Near the lower bound a bent x is linear in u, so a posterior at the bound keeps its shape. Far from the bound x
+    is logarithmic in u, and log-normal posteriors and the tails of inferred standard deviations become Gaussian.
+    The length s is `_BEND`.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Warp:
         return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
 
     def quadratic(self, of_u: Quadratic) -> Quadratic:
-        """Return the second-order log-density of x at the same point, given `of_u` for u."""
+        """Return the second-order expansion of the log-density of x at the same point, given `of_u` for u."""
         away = self.stretch(of_u.position)
         bent = self.bent.astype(float)
         return Quadratic(
@@ -65,7 +65,7 @@ class Warp:
         )
 
     def straighten(self, of_x: Quadratic) -> Quadratic:
-        """Return the second-order log-density of u, given `of_x` for x: the inverse of `quadratic`."""
+        """Return the second-order expansion of the log-density of u, given `of_x` for x; undoes `quadratic`."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
         slope = of_x.gradient - self.bent

@@ -14,13 +14,13 @@ from fmu.types import FloatArray, IntArray, LogDensity
 
 
 class Points(NamedTuple):
-    """Positions, and the priors and likelihoods that give every tempered density; arrays of one leading shape.
+    """Positions with their priors and likelihoods, which give every tempered density; all share leading axes.
 
     Attributes
     ----------
     position : ndarray, shape (..., ndim)
     log_prior, log_likelihood : ndarray, shape (...)
-        The log-likelihood is ``-inf`` where it is not finite.
+        A log-likelihood that is not finite is replaced by ``-inf``.
     prior_gradient, likelihood_gradient : ndarray, shape (..., ndim), or None
         None if the kernel needs no gradients.
     """
@@ -32,18 +32,18 @@ class Points(NamedTuple):
     likelihood_gradient: FloatArray | None = None
 
     def each(self, change: Callable[..., FloatArray], *others: Points) -> Points:
-        """Return points with `change` applied to each array, together with the same array of all `others`."""
+        """Return points made by applying `change` to each array, together with the same array of all `others`."""
         changed: Any = (None if a is None else change(a, *b) for a, *b in zip(self, *others, strict=True))
         return Points(*changed)
 
     def put(self, where: Index, others: Points) -> None:
-        """Overwrite the points at the index `where` with `others`."""
+        """Overwrite the points at index `where` with `others`."""
         for array, values in zip(self, others, strict=True):
             if array is not None:
                 array[where] = values
 
     def log_prob(self, t: FloatArray) -> FloatArray:
-        """Return log prior + t · log likelihood; at t = 0 the log-prior, even where the likelihood is 0."""
+        """Return log prior + t · log likelihood; at t = 0, the log-prior even where the likelihood is 0."""
         return self.log_prior + np.where(t > 0.0, t, 1.0) * np.where(t > 0.0, self.log_likelihood, 0.0)
 
     def gradient(self, t: FloatArray) -> FloatArray | None:
@@ -54,13 +54,13 @@ class Points(NamedTuple):
 
 
 class PriorAndLikelihood:
-    """The prior and the likelihood of a density, in the coordinates of the samplers.
+    """Prior and likelihood of a density, evaluated separately in the coordinates of the samplers.
 
     Parameters
     ----------
     density : LogDensity
-        A density with ``log_prior``, ``log_likelihood`` and ``sample_prior``, and ``log_prior_and_grad`` for
-        gradients; or the scaled view of such a density.
+        A density with ``log_prior``, ``log_likelihood`` and ``sample_prior``, and with ``log_prior_and_grad`` if
+        gradients are needed; or the scaled view of such a density.
     with_gradients : bool
 
     Raises
@@ -81,7 +81,7 @@ class PriorAndLikelihood:
         self.solves_each = Target(density).solves_per_gradient if with_gradients else 1  # solves per point
 
     def points(self, u: FloatArray) -> Points:
-        """Return priors and likelihoods at u, shape (n, ndim), and gradients if needed, from one batch."""
+        """Evaluate priors, likelihoods and, if needed, gradients at u, shape (n, ndim), in one batch."""
         theta = u if self.scaled is None else self.scaled.to_theta(u)
         if not self.with_gradients:
             return Points(u, self.density.log_prior(theta), _replace_failures(self.density.log_likelihood(theta)))
@@ -100,7 +100,7 @@ class PriorAndLikelihood:
 
 
 class TemperedTarget(ExactGradient):
-    """The tempered densities of replicas, for one step of a kernel; remembers each replica's last evaluation.
+    """Tempered densities of the replicas for one step of a kernel; stores the last evaluation of each replica.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class TemperedTarget(ExactGradient):
     t : ndarray, shape (replicas,)
         Inverse temperatures, above 0.
     start : Points
-        The replicas before the step, leading shape (replicas,).
+        The replicas before the step, with leading axis (replicas,).
     """
 
     def __init__(self, parts: PriorAndLikelihood, t: FloatArray, start: Points) -> None:
@@ -117,11 +117,11 @@ class TemperedTarget(ExactGradient):
         self.last = start.each(np.copy)
 
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
-        """Return the tempered log-densities at `position`, shape (n, ndim), of the replicas of index `chain`."""
+        """Return the tempered log-densities at `position`, shape (n, ndim), for the replicas of index `chain`."""
         return self._evaluate(position, chain).log_prob(self.t[chain])
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the tempered log-densities, and their gradients."""
+        """Return the tempered log-densities and their gradients."""
         points, t = self._evaluate(position, chain), self.t[chain]
         gradient = points.gradient(t)
         assert gradient is not None  # the parts were made with gradients
@@ -130,9 +130,9 @@ class TemperedTarget(ExactGradient):
     def at(self, position: FloatArray) -> tuple[Points, IntArray]:
         """Return the replicas at their positions after the step, and the number of solves per replica.
 
-        Usually no solves are needed, as a replica ends at its start or at the point that was evaluated last. The
-        exception is the coordinate-wise slice: if an interval is given up, the replica stays at the position
-        reached along the previous axis.
+        Usually this takes no solves, because a replica ends where it started or at the point that was evaluated
+        last. The exception is the coordinate-wise slice: if an interval is given up, the replica stays at the
+        position reached along the previous axis.
         """
         n_solves = np.zeros(len(position), dtype=np.int64)
         points = self.last.each(np.copy)
@@ -151,5 +151,5 @@ class TemperedTarget(ExactGradient):
 
 
 def _replace_failures(log_likelihood: FloatArray) -> FloatArray:
-    """Return the log-likelihood with −inf where the model failed."""
+    """Return the log-likelihood with −inf wherever the model failed."""
     return np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf)

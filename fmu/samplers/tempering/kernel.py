@@ -1,4 +1,4 @@
-"""The kernel of parallel tempering: draws from the prior, moves at every rung, and swaps between rungs."""
+"""The parallel-tempering kernel: draws from the prior, moves at every rung, and swaps between rungs."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ LOG_LIKELIHOOD = "rung_log_likelihood"
 
 @dataclass(frozen=True)
 class TemperingKernel:
-    """Parallel-tempering kernel bound to a density; each rung above the prior has one of the `kernels`.
+    """Parallel-tempering kernel bound to a density; each rung above the prior has its own one of the `kernels`.
 
-    The extra arrays of its State are:
+    The extra arrays of the State are:
 
-    - the fields of `Points` for all replicas, leading shape (rungs, chains), named ``rung_position`` etc.;
+    - the fields of `Points` for all replicas, with leading axes (rungs, chains), named ``rung_position`` etc.;
     - ``heading``, (rungs, chains): 1 for a replica that was last at the posterior, 2 for a replica that has been
       at the prior since then, else 0;
     - ``n_steps``, (): the number of steps taken.
 
-    The extra statistics of its Info include ``round_trips``. `Info.parts` contains the diagnostics of the
-    replicas' own steps, with leading dimension (rungs − 1) · chains, rung by rung from the first rung above the
+    The extra statistics of the Info include ``round_trips``. `Info.parts` contains the diagnostics of the steps of
+    the replicas. Its leading axis has length (rungs − 1) · chains, rung by rung from the first one above the
     prior.
     """
 
@@ -41,7 +41,7 @@ class TemperingKernel:
     _joined: dict[int, LocalKernel] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Put all replicas of a chain at the start of the chain, at one solve per chain."""
+        """Place all replicas of a chain at its starting point, at one solve per chain."""
         points, rungs, chains = self.parts.points(positions), len(self.temperatures), len(positions)
         gradient = points.gradient(np.ones(chains))
         log_prob = points.log_prob(np.ones(chains))
@@ -90,7 +90,7 @@ class TemperingKernel:
         return State(cold.position, cold.log_prob(np.ones(len(cold.log_prior))), extra=extra)
 
     def _move(self, rng: np.random.Generator, points: Points) -> tuple[Points, Info]:
-        """Return the replicas above the prior after one step of their kernels, and its diagnostics."""
+        """Move the replicas above the prior by one step of their kernels; return them and the diagnostics."""
         rungs, chains = points.log_prior.shape
         t = np.repeat(self.temperatures[1:], chains)
         start = points.each(lambda a: a.reshape(rungs * chains, *a.shape[2:]))
@@ -104,7 +104,7 @@ class TemperingKernel:
         return end.each(lambda a: a.reshape(rungs, chains, *a.shape[1:])), info
 
     def _order_after_swaps(self, rng: np.random.Generator, log_likelihood: FloatArray, first: int) -> IntArray:
-        """Return the rung from which each rung takes its replica in swaps of even or odd pairs, (rungs, chains).
+        """Return the rung from which each rung takes its replica, (rungs, chains), by swaps of even or odd pairs.
 
         A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where
         l is the log-likelihood: the priors cancel in the ratio of the joint densities after and before the swap.
@@ -121,12 +121,12 @@ class TemperingKernel:
 
 
 def _take_in_order(values: AnyArray, order: IntArray) -> AnyArray:
-    """Return the values (rungs, chains, ...) reordered along the rungs by `order`, shape (rungs, chains)."""
+    """Return the values (rungs, chains, ...) reordered along the rungs according to `order` (rungs, chains)."""
     return values[order, np.arange(order.shape[1])]
 
 
 def _update_headings(heading: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the headings updated at the ends of the ladder, and the round trips completed, shape (chains,)."""
+    """Update the headings at the ends of the ladder; return them and the completed round trips, (chains,)."""
     heading = heading.copy()
     heading[0] = np.where(heading[0] == 1, 2, heading[0])
     round_trips = (heading[-1] == 2).astype(np.int64)
@@ -135,7 +135,7 @@ def _update_headings(heading: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def replicas_of(state: State) -> Points:
-    """Return the replicas in a state of `TemperingKernel`, leading shape (rungs, chains)."""
+    """Return the replicas in a state of `TemperingKernel`, with leading axes (rungs, chains)."""
     return Points(*(state.extra.get(f"rung_{name}") for name in Points._fields))  # type: ignore[arg-type]
 
 

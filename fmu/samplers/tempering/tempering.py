@@ -1,6 +1,6 @@
-"""Parallel tempering: replicas between prior and posterior swap positions, so that no mode traps a chain for long.
+"""Parallel tempering: replicas between prior and posterior swap positions, so no mode traps a chain for long.
 
-The inverse temperatures t_k form a ladder. A swap between the neighbouring rungs k and k+1 is rejected with
+The inverse temperatures t_k form a ladder of rungs. A swap between neighbouring rungs k and k+1 is rejected with
 probability r_k. The sum Λ of all r_k is the communication barrier between prior and posterior; with many rungs it
 hardly depends on the positions of the rungs. Replicas travel fastest if all r_k are equal and there are about 2Λ
 rungs.
@@ -29,8 +29,8 @@ FEWEST, MOST = 8, 64
 FIRST = 12
 """Number of rungs before the ladder is learnt."""
 _POWER = 5.0
-"""Exponent of the first ladder, with rungs at (k/K)⁵ (Friel & Pettitt 2008): posteriors are far narrower than
-priors."""
+"""Exponent of the initial ladder, with rungs at (k/K)⁵ because posteriors are far narrower than priors (Friel &
+Pettitt 2008)."""
 _SHORTEST = 20  # fewest steps of a stage of the warm-up
 _LEAST = 1e-3  # smallest rejection probability that the interpolation uses, so that the barrier increases
 
@@ -41,23 +41,23 @@ class Tempering(Sampler):
     """Parallel tempering, with the replicas moved by one of the local samplers.
 
     Each chain is a ladder of replicas. Replica k samples prior · likelihood^t_k, with t_k from 0 (independent
-    draws from the prior) to 1 (the posterior, whose draws are those of the chain). After every `swap_every` steps,
-    swaps between neighbouring replicas are proposed, for the even and the odd pairs in turn: a replica that finds
-    another mode near the prior carries this mode to the posterior. Warm-up learns the ladder on which all swaps
-    are rejected equally often, and the kernel's settings for every rung. The log-likelihoods at all rungs give the
+    draws from the prior) to 1 (the posterior; its draws are the draws of the chain). After every `swap_every`
+    steps, swaps between neighbouring replicas are proposed, for even and odd pairs in turn. A replica that finds
+    another mode near the prior thus carries it to the posterior. Warm-up learns the ladder on which all swaps are
+    rejected equally often, and the kernel settings for every rung. The log-likelihoods at all rungs give the
     evidence; see `fmu.evidence`.
 
     Parameters
     ----------
     kernel : str or LocalSampler
-        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings; after warm-up
-        a tuple of settings, one for each of these rungs.
+        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings. After warm-up
+        it is a tuple with settings for each of these rungs.
     temperatures : array_like, shape (rungs,), optional
-        Inverse temperatures from 0 to 1. If they are not given, warm-up learns them.
+        Inverse temperatures from 0 to 1; learnt in warm-up if not given.
     rungs : int, optional
-        Number of rungs of the learnt ladder. If it is not given, it is about 2Λ + 1, where Λ is the communication
-        barrier found in warm-up: half of all swaps then succeed, which is the best use of the solves (Syed et al.
-        2022, section 4.3). It is then at least 8 and at most 64, and 12 at the beginning of the warm-up.
+        Number of rungs of the learnt ladder. The default is about 2Λ + 1, where Λ is the communication barrier
+        found in warm-up. Half of all swaps then succeed, which is the best use of the solves (Syed et al. 2022,
+        section 4.3). By default there are 8 to 64 rungs, and 12 when warm-up begins.
     swap_every : int
         Number of steps between two rounds of swaps.
 
@@ -110,8 +110,8 @@ class Tempering(Sampler):
         Raises
         ------
         ValueError
-            If the density does not consist of a likelihood and a prior that can be drawn from, or a setting of
-            the kernel does not fit the density.
+            If the density does not consist of a likelihood and a prior from which draws can be made, or a setting
+            of the kernel does not fit the density.
         """
         t = first_ladder(self.rungs) if self.temperatures is None else np.asarray(self.temperatures)
         kernels = {id(kernel): kernel.bind(density) for kernel in self._kernels(1)}
@@ -120,25 +120,25 @@ class Tempering(Sampler):
         return TemperingKernel(parts, t, bound, self.swap_every)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
-        """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if nothing is learnt."""
+        """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if both are given."""
         learns = not self._is_by_rung and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 
     @property
     def _is_by_rung(self) -> bool:
-        """Whether every rung has settings of its own."""
+        """Whether each rung has its own settings."""
         return isinstance(self.kernel, tuple)
 
     def _kernels(self, rungs: int) -> tuple[LocalSampler, ...]:
-        """Return the kernels' settings at the rungs above the prior, of which there are `rungs`."""
+        """Return the settings of the kernels at the `rungs` rungs above the prior."""
         return self.kernel if self._is_by_rung else (self.kernel,) * rungs
 
 
 class LadderTuner:
-    """Tuner of the ladder, which changes after each stage of the warm-up, and of the kernel at each rung.
+    """Tuner of the ladder, which changes between the stages of the warm-up, and of the kernel at each rung.
 
-    Each rung above the prior has its own tuner, which learns from the replicas at that rung and starts anew in
-    every stage. The last stage, half of the warm-up, already uses the ladder of the draws.
+    Each rung above the prior has its own tuner, which learns from the replicas at that rung and is restarted in
+    every stage. The last stage, half of the warm-up, already uses the final ladder.
     """
 
     def __init__(self, sampler: Tempering, density: LogDensity, chains: int, steps: int) -> None:
@@ -186,7 +186,7 @@ class LadderTuner:
             self._take_kernels([tuner.kernel for tuner in self.tuners])
 
     def _begin(self, temperatures: FloatArray) -> None:
-        """Begin a stage of the warm-up with a ladder of inverse temperatures."""
+        """Begin a stage of the warm-up with the given inverse temperatures."""
         self.temperatures = temperatures
         self.log_likelihood = []
         above = len(temperatures) - 1
@@ -199,7 +199,7 @@ class LadderTuner:
         self.kernel: TemperingKernel = replace(self.bound, temperatures=self.temperatures, kernels=tuple(kernels))
 
     def _tell_the_tuners(self, state: State, info: Info) -> None:
-        """Update every rung's tuner with the replicas at that rung and their tempered log-densities."""
+        """Update the tuner of each rung with the replicas there and their tempered log-densities."""
         parts, t = info.parts, self.temperatures[1:, None]
         assert parts is not None  # TemperingKernel returns them
         above = replicas_of(state).each(lambda a: a[1:])
@@ -217,7 +217,7 @@ class LadderTuner:
 
 
 def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return inverse temperatures in ascending order; raise ValueError unless they are distinct, from 0 to 1."""
+    """Return inverse temperatures in ascending order; raise ValueError unless they run from 0 to 1 and differ."""
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
         raise ValueError(f"{name}: must be distinct inverse temperatures from 0 to 1, with both (got {value!r})")
@@ -225,14 +225,14 @@ def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
 
 
 def first_ladder(rungs: int | None) -> FloatArray:
-    """Return the initial inverse temperatures, shape (rungs,); `FIRST` of them if `rungs` is None."""
+    """Return the initial inverse temperatures, shape (rungs,); there are `FIRST` rungs if `rungs` is None."""
     return np.linspace(0.0, 1.0, rungs or FIRST) ** _POWER
 
 
 def stages(steps: int) -> list[int]:
-    """Return the lengths, in steps, of the stages of a warm-up, between which the ladder changes.
+    """Return the lengths in steps of the warm-up stages, between which the ladder changes.
 
-    Each stage but the first is about as long as all stages before it.
+    Each stage but the first is about as long as all previous stages together.
     """
     lengths = []
     while steps >= 2 * _SHORTEST:
@@ -267,7 +267,7 @@ def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | N
     temperatures : ndarray, shape (rungs,)
     rejection : ndarray, shape (rungs − 1,)
     rungs : int, optional
-        Number of rungs. If it is not given, it follows from the barrier, so that half of all swaps are expected to
+        Number of rungs. By default it is chosen from the barrier such that half of all swaps are expected to
         succeed.
     """
     from scipy.interpolate import PchipInterpolator

@@ -1,4 +1,4 @@
-"""Points evaluated in warm-up, and a mixture fitted to the draws of local steps."""
+"""Points evaluated in warm-up, and the mixture fitted to the draws of local steps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray, IntArray, LogDensity
 
 FAR = 10.0
-"""Points with a log-density this far below the median, plus one per coordinate, are not yet near a maximum."""
+"""Points with a log-density this far below the median, plus one per coordinate, have not reached a maximum yet."""
 _APART = 3.0
-"""Distance between the means of two separated chains, in standard deviations along the line between the means."""
+"""Smallest distance between the means of separated chains, in standard deviations along the line between the
+means."""
 _LEAST_MOVE = 1e-8  # smallest extent of draws that have moved, in scaled units
 
 
 class Evaluated(NamedTuple):
-    """Points (n, ndim), their log-densities (n,), and the gradients of the log-density (n, ndim) or NaN."""
+    """Points (n, ndim) with their log-densities (n,) and gradients (n, ndim), which are NaN if missing."""
 
     position: FloatArray
     log_prob: FloatArray
@@ -31,18 +32,18 @@ class Evaluated(NamedTuple):
         return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
 
     def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
-        """Return these points followed by further points; gradients that are not given are NaN."""
+        """Return these points followed by further points; gradients are NaN if not given."""
         more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
 def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
-    """Return a mixture fitted to the later half of the draws of local steps, with a component per group of chains.
+    """Return a mixture fitted to the later half of the local draws, with one component per group of chains.
 
     Parameters
     ----------
     draws : Evaluated
-        The draws of all chains at the first step, then at the second step, etc.
+        The draws of all chains at the first step, then at the second step, and so on.
     chains : int
     density : LogDensity
     """
@@ -62,10 +63,10 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:
-    """Return the group of each chain of u (steps, chains, ndim), shape (chains,).
+    """Return the index of each chain's group, shape (chains,), given draws u (steps, chains, ndim).
 
-    Chains at separated maxima are in different groups. Two chains are in one group if the distance between their
-    means is within `_APART` standard deviations along the line between the means.
+    Chains at separated maxima are in different groups. Two chains are in the same group if the distance between
+    their means is at most `_APART` standard deviations along the line between the means.
     """
     mean = u.mean(axis=0)
     group = np.arange(len(mean))
@@ -80,7 +81,7 @@ def groups_of_chains(u: FloatArray) -> IntArray:
 
 
 def _has_moved(u: FloatArray) -> bool:
-    """Return True if the draws (n, ndim) have enough distinct points for a covariance."""
+    """Return True if the draws (n, ndim) contain enough distinct points to give a covariance."""
     return len(np.unique(u, axis=0)) > u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
 
 

@@ -1,4 +1,4 @@
-"""Fits of a mixture to a bent density in rounds of candidates: each fit uses the candidates of all rounds."""
+"""Fits of a mixture to a bent density in rounds; each fit uses the candidates of all rounds so far."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from fmu.samplers.mixture.importance import cut_largest, even_out, sum_densities
 from fmu.types import FloatArray
 
 PER_ROUND = 2000
-"""Number of candidates of a round."""
+"""Number of candidates in a round."""
 ENOUGH = 0.45
-"""Efficiency of two successive rounds at which no further round is drawn."""
+"""Efficiency which, if reached in two successive rounds, makes further rounds unnecessary."""
 _TWICE = 2
 _MILDER = 0.8
 _LEAST_POINTS = 60
-"""Effective points per coordinate below which the weights for a fit are raised to a power below 1."""
+"""Effective number of points per coordinate below which the weights in a fit are raised to a power below 1."""
 _MOST_PART = 0.2
 _SAMPLE = 1000  # draws from which the efficiency of a mixture is estimated
 _FEWEST = 200
-"""Smallest number of candidates of a round."""
+"""Smallest number of candidates in a round."""
 
 
 class Rounds:
@@ -36,9 +36,9 @@ class Rounds:
         The candidates with a finite log-density.
     log_prob : ndarray, shape (n,)
     mixtures : list
-        The mixture of each round; the later mixtures are fitted to the previous rounds.
+        The mixture of each round; each but the first is fitted to the previous rounds.
     counts, found : list of int
-        Numbers of candidates of each round, and of candidates with a finite log-density.
+        For each round, the number of candidates, and of those with a finite log-density.
     n_solves : int
         Number of evaluations of all rounds so far.
     """
@@ -74,8 +74,8 @@ class Rounds:
     def fit_mixture(self) -> CurvedMixture:
         """Return the mixture fitted to all candidates; raise LinAlgError if the candidates do not span the space.
 
-        Where a few candidates have nearly all the weight, the weights are raised to a power below 1: the mixture
-        is then wider than the density, and the next round represents the density better.
+        If a few candidates have nearly all the weight, the weights are raised to a power below 1. The mixture is
+        then wider than the density, and the next round represents the density better.
         """
         log_w = self.log_weight
         log_w = even_out(log_w, min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)), _MILDER)
@@ -83,12 +83,12 @@ class Rounds:
         return fit_curved(self.position, weight, self.target.lower, self.target.upper)
 
     def efficiency(self, k: int) -> float:
-        """Return the effective draws per candidate of an independence sampler with mixture k.
+        """Return the effective number of draws per candidate of an independence sampler with mixture k.
 
-        The efficiency is 1/E[2/a(x) − 1], where a(x) is the rate at which candidates are accepted at x, and the
-        expectation is over draws x of the density. These draws are resampled from the candidates of all rounds by
-        weight, so that a mixture is rated as poor if it misses a region that another mixture covers (Liu 1996,
-        Statistics and Computing 6, 113-119).
+        The efficiency is 1/E[2/a(x) − 1], where a(x) is the acceptance rate of candidates at x, and the
+        expectation is over draws x from the density (Liu 1996, Statistics and Computing 6, 113-119). These draws
+        are resampled by weight from the candidates of all rounds, so a mixture is rated as poor if it misses a
+        region that another mixture covers.
         """
         first, own = int(sum(self.found[:k])), self.found[k]
         if not own:

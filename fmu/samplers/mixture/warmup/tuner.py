@@ -1,4 +1,4 @@
-"""The tuner of the mixture sampler, which fits the mixture in warm-up to all evaluations so far."""
+"""The tuner of the mixture sampler, which fits the mixture during warm-up to all evaluations so far."""
 
 from __future__ import annotations
 
@@ -27,40 +27,41 @@ _FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Fractions of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
 _JUDGED = 3
-"""Index of the first fit after which the candidates' acceptance rate decides whether local steps prevail."""
+"""Index of the first fit after which the acceptance rate of candidates decides whether local steps prevail."""
 _RARE, _OFTEN = 0.1, 0.3
-"""Smallest acceptance rate of candidates among the chains below which most steps are local steps, and above which
-most steps are candidates again. A local step gives about 0.05 effective draws per evaluation."""
+"""Acceptance rate of candidates in the worst chain below which most steps become local, and above which most steps
+are candidates again. A local step gives about 0.05 effective draws per evaluation."""
 _LOCAL_STEPS = 3
 """Local steps per candidate if candidates are rarely accepted."""
 _ENOUGH_JUMPS, _ENOUGH_STEPS = 20, 100
-"""Candidates per chain from which an acceptance rate is estimated, and local steps that learn their own metric."""
+"""Number of candidates per chain needed to estimate an acceptance rate, and number of local steps needed to learn
+a metric from them."""
 _LEAST_WALK, _WALK_SOLVES = 50, 1000
-"""Numbers of local steps, and of evaluations per chain, after which local steps show the density roughly."""
+"""Numbers of local steps and of evaluations per chain that are needed to show the density roughly."""
 _CANDIDATES = 5
 """Largest number of candidates for the fit of a curved mixture, per step of the warm-up and chain."""
 _WORTH = 0.02
-"""Effective draws per candidate of a curved mixture below which local steps are more efficient."""
+"""Effective number of draws per candidate of a curved mixture below which local steps are more efficient."""
 _CURVED_CYCLE = 1, 79
-"""Numbers of local steps and of candidates of a curved mixture, in turn."""
+"""Numbers of local steps and of candidates in each cycle, for a curved mixture."""
 _HEAVY, _FITS_BADLY = 1.6, 0.8
-"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and effective share below which Gaussians do
-not fit heavy tails."""
+"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and effective share below which Gaussians fit
+heavy tails badly."""
 
 
 class MixtureTuner:
-    """Tuner that fits the mixture several times to all candidates so far, weighted over the mixtures so far.
+    """Tuner that repeatedly fits the mixture to all candidates so far, weighted over all mixtures so far.
 
-    If no component is known, at most the first half of the warm-up consists of local steps. The first fit is to
-    the draws of these steps, with the gradients if gradients were evaluated. If a chain or a candidate has found a
-    maximum that the mixture misses, the mixture gets a component there. The local steps after the first fit have a
-    metric from the covariance of the mixture.
+    If no component is known, up to half of the warm-up consists of local steps. The first fit uses the draws of
+    these steps, and their gradients if these were evaluated. If a chain or a candidate has found a maximum that
+    the mixture misses, a component is added there. After the first fit, local steps use a metric derived from the
+    covariance of the mixture.
 
-    If candidates are still rarely accepted in some chain after the first fits, most steps become local steps,
-    which learn their own metric from their draws, and further fits also use these draws. Most steps are candidates
-    again once candidates are often accepted. If most chains rarely accept candidates, a `CurvedMixture` is fitted
-    in rounds of candidates as soon as the draws show the density roughly. The curved mixture is kept if it is
-    efficient enough. It is also fitted if the density is infinite at a wall or has heavy tails.
+    If some chain still rarely accepts candidates after the first fits, local steps prevail: most steps are then
+    local, they learn a metric of their own from their draws, and further fits also use these draws. Candidates
+    prevail again once they are often accepted. If most chains rarely accept candidates, a `CurvedMixture` is
+    fitted in rounds of candidates as soon as the draws show the density roughly. It is kept if it is efficient
+    enough. It is also fitted if the density is infinite at a wall or has heavy tails.
 
     Parameters
     ----------
@@ -105,11 +106,11 @@ class MixtureTuner:
 
     @property
     def fit_at(self) -> list[int]:
-        """Numbers of steps after which the mixture is fitted again."""
+        """Step counts at which the mixture is refitted."""
         return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Learn from one step; return the number of evaluations this took per chain, shape (chains,), or None."""
+        """Learn from one step; return the number of evaluations that this took, shape (chains,), or None."""
         self.done += 1
         if info.parts is not None:
             if self.local is not None:
@@ -195,20 +196,20 @@ class MixtureTuner:
         self._take_kernel()
 
     def _begin_with(self, mixture: Mixture | CurvedMixture) -> None:
-        """Use `mixture`, and local steps adapted to its covariance."""
+        """Use `mixture`, with local steps adapted to its covariance."""
         self._take(mixture)
         self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
 
     def _fit_to_draws(self) -> None:
-        """Use a first mixture, fitted to the draws of the local steps."""
+        """Fit the first mixture to the draws of the local steps, and use it."""
         self._begin_with(fit_to_draws(self.visited, self.chains, self.density))
 
     def _fit(self, state: State) -> IntArray | None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
 
-        Maxima that the mixture misses are searched for before the fit, since candidates near such maxima would
-        spoil the fit, and after the fit, since a fit may lose a maximum. Return the number of evaluations this
-        took per chain, shape (chains,), or None if there was nothing to fit.
+        Maxima that the mixture misses are sought before the fit, because candidates near them would spoil it, and
+        again after the fit, because a fit may lose a maximum. Return the number of evaluations that this took,
+        shape (chains,), or None if there was nothing to fit.
         """
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
@@ -239,7 +240,7 @@ class MixtureTuner:
         return spent
 
     def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
-        """Return the mixture that has the larger effective share for the draws of local steps."""
+        """Return whichever mixture has the larger effective share for the draws of local steps."""
         u, log_prob, _ = self.walked
         points = Points(u, log_prob, np.ones(len(u)))
         shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
@@ -247,15 +248,15 @@ class MixtureTuner:
 
     @property
     def _has_walked(self) -> bool:
-        """Whether local steps have taken enough steps and evaluations to show the density roughly."""
+        """Whether there were enough local steps and evaluations to show the density roughly."""
         return self.walk[0] >= _LEAST_WALK and self.walk[1] >= _WALK_SOLVES
 
     def _choose_steps(self, state: State) -> IntArray | None:
-        """Let local steps prevail if some chain rarely accepts candidates, until all chains accept them often.
+        """Let local steps prevail if some chain rarely accepts candidates, until all chains often accept them.
 
         If most chains rarely accept candidates, or the density is infinite at a wall or has heavy tails, fit a
-        curved mixture, provided that there are enough local draws. Return the number of evaluations this took per
-        chain, shape (chains,), or None.
+        curved mixture, provided that there are enough local draws. Return the number of evaluations that this
+        took, shape (chains,), or None.
         """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
             return None
@@ -277,12 +278,12 @@ class MixtureTuner:
 
     @property
     def _can_learn(self) -> bool:
-        """Whether there are enough local draws to fit a curved mixture, and no such fit was tried before."""
+        """Whether there are enough local draws to fit a curved mixture, and none has been fitted before."""
         draws = self.walked if self.switched >= 0 else self.visited
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return the candidates so far with weights; None if there are no candidates or the mixture is curved."""
+        """Return all candidates so far with their weights; None if there are none or the mixture is curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or not known.any():
@@ -297,7 +298,7 @@ class MixtureTuner:
         return bool(np.isfinite(shapes).any())
 
     def _has_heavy_tails(self, points: Points | None) -> bool:
-        """Return True if a density with one maximum has heavier tails than Gaussians, which fit it badly.
+        """Return True if the density has one maximum and tails too heavy for a good fit by Gaussians.
 
         The weights P/q of Gaussian candidates are then unbounded, and the standard error of an evidence computed
         from these weights is wrong.
@@ -313,8 +314,8 @@ class MixtureTuner:
     def _learn_curved(self, state: State) -> IntArray:
         """Fit a curved mixture, starting from the draws of local steps.
 
-        If the candidates of the curved mixture are rarely accepted, too, let local steps prevail. Return the
-        number of evaluations this took per chain, shape (chains,).
+        If candidates of the curved mixture are rarely accepted as well, let local steps prevail. Return the number
+        of evaluations that this took, shape (chains,).
         """
         self.has_tried = True
         draws = self.walked if self.switched >= 0 else self.visited
@@ -332,9 +333,9 @@ class MixtureTuner:
         return spent
 
     def _prefer_local(self) -> None:
-        """Begin local steps that learn their metric from their draws, if enough steps remain.
+        """Start local steps that learn their metric from their own draws, if enough steps remain.
 
-        Otherwise the metric from the mixture stays in use.
+        Otherwise the metric derived from the mixture stays in use.
         """
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
@@ -342,7 +343,7 @@ class MixtureTuner:
             self.local = self.local_settings.tuner(self.density, self.chains, steps)
 
     def _cycle(self, wide: float) -> tuple[int, int]:
-        """Return the numbers of local steps and of candidates, which are taken in turn."""
+        """Return the numbers of local steps and of candidates in each cycle."""
         if self.switched >= 0:
             return _LOCAL_STEPS, 1
         if self.gaussians is None:
@@ -350,14 +351,14 @@ class MixtureTuner:
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
-        """Return the mixture with the final share of wider copies: `wide` if given, less if the fit is good."""
+        """Return the mixture with the final share of wider copies: `wide` if given, lower if the fit is good."""
         if self.sampler.wide is not None:
             return mixture.with_wide(self.sampler.wide)
         less = mixture.with_wide(LESS_WIDE)
         return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 
     def _log_density_so_far(self, u: FloatArray) -> FloatArray:
-        """Return the log-density of all candidates so far at points u (n, ndim), up to a constant, shape (n,)."""
+        """Return the log-density of all candidates so far, up to a constant, at points u (n, ndim), shape (n,)."""
         of_stages = [stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n]
         return sum_densities(of_stages, [n for n in self.counts if n])
 
@@ -382,7 +383,7 @@ class MixtureTuner:
 
 
 def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
-    """Return the sum of two arrays of numbers of evaluations, either of which may be None."""
+    """Return the sum of two arrays of evaluation counts, either of which may be None."""
     if one is None or other is None:
         return other if one is None else one
     return one + other

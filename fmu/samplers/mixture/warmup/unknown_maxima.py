@@ -1,4 +1,4 @@
-"""Search for maxima without a component in a mixture, where the density of the mixture is too low."""
+"""Search for maxima that lack a component in a mixture, at points where the density of the mixture is too low."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from fmu.samplers.mixture.warmup.local_draws import FAR
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _UNKNOWN, _VALLEY = 1.0, 3.0
-"""The density of the mixture is too low at a point where log w exceeds its median by `_UNKNOWN`. The point is near
-a maximum that the mixture misses if the log-density between the point and its component drops by `_VALLEY`, which
-is more than local steps can cross."""
+"""The density of the mixture is too low at a point where log w exceeds its median by `_UNKNOWN`. Such a point is
+near a maximum that the mixture misses if, between the point and its component, the log-density drops by `_VALLEY`,
+which is more than local steps can cross."""
 _LOWEST = -5.0  # smallest logarithm of a new component's share
 _CHECKED = 5  # largest number of points that are checked per fit
 _BETWEEN = np.arange(6) / 6.0  # relative positions on the line from the component to the point
 
 
 class Seen(NamedTuple):
-    """Points searched for maxima: candidates, then the chains' positions, then positions before the first fit.
+    """Points searched for maxima: candidates, then positions of the chains, then points before the first fit.
 
     Attributes
     ----------
@@ -49,20 +49,20 @@ class Seen(NamedTuple):
 
 
 class NewMaximum(NamedTuple):
-    """A maximum, as a quadratic in coordinates without warp, and its probability relative to the mixture's."""
+    """A maximum, as a quadratic in unwarped coordinates, and its probability relative to the mixture's."""
 
     quadratic: Quadratic
     mass: float
 
 
 def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[list[NewMaximum], IntArray]:
-    """Return the list of maxima that a mixture misses, and the number of evaluations per chain, shape (chains,).
+    """Return the list of maxima that a mixture misses, and the numbers of evaluations, shape (chains,).
 
     The search climbs from a point of `seen` if log w = log P − log q is well above its median there, and a valley
-    lies between the point and the component responsible for the point. Positions of chains are checked first, as a
-    chain at a low maximum without a component would hardly leave this maximum. All other points must have a
-    log-density close to that of the chains, and a log w well above its median for the candidates of all mixtures
-    so far, too: a maximum that earlier candidates showed to be minor is not climbed again.
+    lies between the point and the component responsible for the point. Positions of chains are checked first,
+    because a chain at a low maximum without a component would hardly leave it. All other points must have a
+    log-density close to that of the chains, and log w must also be well above its median for the candidates of all
+    mixtures so far. A maximum that earlier candidates showed to be minor is thus not climbed again.
     """
     u, log_prob, log_q, n, _ = seen
     is_chain = seen.is_chain
@@ -96,7 +96,7 @@ def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[l
 
 
 def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
-    """Return the mixture with a component added at each maximum; later fits correct weights and shapes."""
+    """Return the mixture with a component added at each maximum; later fits correct their weights and shapes."""
     if not maxima:
         return mixture
     new = [mixture.warp.quadratic(one.quadratic) for one in maxima]
