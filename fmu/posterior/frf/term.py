@@ -50,8 +50,7 @@ class FRFTerm:
     model_sd : float or None
         The relative error σ of the model; None if it is inferred.
     settings, of_test : dict and str
-        The result of `as_dict`, and the prefix of the names of FRFs: the test and a colon, or nothing for one
-        test.
+        The result of `as_dict`, and the prefix of the names of FRFs (the test and a colon), if there is one.
     """
 
     has_discrepancy = False  # errors of the modes
@@ -183,8 +182,7 @@ class FRFTerm:
     ) -> ComplexArray:
         """Return simulated measurements, (n, n_frfs, n_lines), of the computed `frfs` at theta (n, ndim).
 
-        Gain errors and noise are added. Gain errors that are integrated out are taken from `gain` (n, n_channels)
-        or, if it is None, drawn from their prior.
+        Gain errors that are integrated out are `gain` (n, n_channels) or, if it is None, drawn from their prior.
         """
         noise = rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
         error = self.error_sd(frfs, theta) * noise
