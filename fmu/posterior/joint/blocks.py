@@ -1,12 +1,12 @@
-"""A hierarchical posterior to second order in block form: the scores of different tests have no common terms.
+"""Second-order form of a hierarchical posterior in blocks: the scores of different tests have no common terms.
 
-With main parameters m and the scores z_t of test t, minus the second derivatives of the log-density have the
-blocks
+Let m be the main parameters and z_t the scores of test t. The negative second derivatives of the log-density have
+the blocks
 
     H_mm,  H_zm,t  and  H_zz,t,
 
-and nothing between the scores of two tests. Systems with this matrix are solved by the Schur complement of the
-scores, H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t: the cost is proportional to the number of tests.
+and zeros between the scores of two tests. Systems with this matrix are solved by the Schur complement of the
+scores, H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t. The cost is proportional to the number of tests.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class BlockHessian:
-    """Minus the second derivatives of a log-density of main parameters and scores, in scaled units.
+    """Negative second derivatives of a log-density with respect to main parameters and scores, in scaled units.
 
     Attributes
     ----------
     main : ndarray, shape (d, d)
     cross : ndarray, shape (n_tests, p, d)
     scores : ndarray, shape (n_tests, p, p)
-        A score that a test does not have has the row and the column of the identity, and zeros in `cross`.
+        For a score that a test does not have, the row and column of the identity, and zeros in `cross`.
     """
 
     main: FloatArray
@@ -59,7 +59,7 @@ class BlockHessian:
         return main, reduced[..., -1] - reduced[..., :-1] @ main
 
     def _complement(self, left: FloatArray) -> FloatArray:
-        """Return the Schur complement with a small multiple of the identity, as some directions may be free."""
+        """Return the Schur complement plus a small multiple of the identity, for undetermined directions."""
         schur = self.main - np.einsum("tik,til->kl", self.cross, left)
         return schur + 1e-12 * (1.0 + np.trace(self.main)) * np.eye(len(schur))
 
@@ -80,7 +80,7 @@ class BlockForm:
     problem : UpdatingProblem
         A problem whose scores are not centred.
     columns : ndarray of int, shape (d,)
-        The main parameters that may move; the other main parameters are held.
+        Indices of the main parameters that may move; the others are held fixed.
     """
 
     def __init__(self, problem: UpdatingProblem, columns: IntArray) -> None:
@@ -89,14 +89,14 @@ class BlockForm:
         self._prior = JointPrior([problem.parameters[k] for k in columns])
 
     def gradient(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log-density at theta (ndim,) and its scaled gradients by main parameters and scores."""
+        """Return the log-density at theta (ndim,), and its scaled gradients over main parameters and scores."""
         value, gradient = self.problem.log_prob_and_grad(theta)
         gradient = gradient * self.scaled.scale
         of_scores = np.where(self.scores.scored, gradient[self.scores.columns], 0.0)
         return float(value), gradient[self.columns], of_scores
 
     def hessian(self, theta: FloatArray) -> BlockHessian:
-        """Return the Gauss–Newton Hessian at theta (ndim,), with Fisher's information on inferred deviations."""
+        """Return the Gauss–Newton Hessian at theta (ndim,), with Fisher's information on inferred sds."""
         problem, layout = self.problem, self.problem.layout
         n, d = len(layout.parameters), len(self.columns)
         n_tests, p = self.scores.scored.shape
@@ -127,7 +127,7 @@ class BlockForm:
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:
-        """Return minus the second derivatives of the prior of main parameters, and the information on noise."""
+        """Return the negative second derivatives of the main parameters' prior, plus the information on noise."""
         problem, scale = self.problem, self.scaled.scale
         found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)
@@ -142,7 +142,7 @@ class BlockForm:
     def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
         """Return the maximum over scores and `columns` that Levenberg–Marquardt steps reach, and its Hessian.
 
-        The damping of the diagonal is that of `fmu.posterior.ascent.ascend`.
+        The diagonal is damped as in `fmu.posterior.ascent.ascend`.
         """
         damping = np.asarray(FIRST_DAMPING)
         value, of_main, of_scores = self.gradient(theta)

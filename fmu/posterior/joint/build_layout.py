@@ -27,7 +27,7 @@ def build_layout(
     eta: float | None,
     outliers: Outliers | None,
 ) -> Layout:
-    """Return the layout of several tests. The arguments are as in `fmu.JointProblem`, which has checked them.
+    """Return the layout of several tests. `fmu.JointProblem` describes the arguments and has checked them.
 
     `varies` has an entry for every structural parameter. `eta` is the argument `correlation`.
     """

@@ -56,9 +56,9 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
 
 
 def _alike(every: Sequence[ModalData]) -> list[ModalData]:
-    """Return the data of tests, all with standard deviations or a covariance, or none of them.
+    """Return the data of tests, all with standard deviations or a covariance, or all without.
 
-    Modes that are not used, such as those picked in FRFs, may differ from the others: what they lack is added.
+    Modes that are not used, such as those picked in FRFs, may differ from the others: missing values are added.
     """
     trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
     counted = [t for t, data in enumerate(every) if any(data.use)] or list(range(len(every)))
@@ -83,9 +83,9 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, of_model: int, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return a list of configurations, each with its trained model; and the tolerance of the model reduction.
+    """Return a list of configurations, each with its trained model, and the tolerance of the model reduction.
 
-    The first `of_model` structural parameters are those of the model.
+    The first `of_model` structural parameters are parameters of the model.
     """
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
@@ -133,7 +133,7 @@ def find_configurations(
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
     """Return one `ModalData` with all modes that occur in the tests, and for each test the indices of its modes.
 
-    Frequencies and shapes are means over the tests. Standard deviations are the smallest of the tests.
+    Frequencies and shapes are means over the tests. Standard deviations are the smallest over the tests.
     """
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]

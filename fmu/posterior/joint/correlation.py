@@ -79,7 +79,8 @@ class Correlation:
     def precision(self, theta: FloatArray) -> FloatArray:
         """Return the inverse correlation matrix minus I for each test, shape (n, n_tests, p, p).
 
-        The matrix is that of the scores that the test has. Entries for missing scores are zero.
+        It is the inverse of the correlation matrix of the scores that the test has. Entries of missing scores are
+        zero.
         """
         n_tests, p = self.scored.shape
         found = np.zeros((len(theta), n_tests, p, p))
@@ -95,7 +96,7 @@ class Correlation:
         return found
 
     def gradient_of_moments(self, theta: FloatArray, moments: FloatArray) -> FloatArray:
-        """Return the derivatives by the partial correlations of the expected log-density of all scores.
+        """Return the derivatives of the scores' expected log-density with respect to the partial correlations.
 
         Parameters
         ----------
@@ -151,7 +152,7 @@ class Correlation:
             yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
     def _factors(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.
+        """Return the Cholesky factor of the correlation matrix, and its derivatives by partial correlation.
 
         The factor L has the shape (n, p, p), and its derivatives have the shape (n, p (p - 1) / 2, p, p).
 

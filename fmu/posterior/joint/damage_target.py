@@ -1,4 +1,4 @@
-"""A decision about damage that a test is planned for."""
+"""A decision about damage for which a test is planned."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from fmu.posterior.problem import UpdatingProblem
 @check_arguments
 @dataclass(frozen=True)
 class DamageTarget:
-    """A decision about damage: whether a parameter has lost more than a share of its value.
+    """A decision about damage: whether a parameter has lost more than a given share of its value.
 
     Attributes
     ----------
     of : str or sequence of str
-        Names of the parameters that may have lost stiffness. With several tests (`fmu.JointProblem`), parameters
-        that vary by `Damage` or by group, whose loss is that of the group of the planned test. With one test,
-        parameters that may lose stiffness between this test and the planned one.
+        Names of the parameters that may have lost stiffness. With several tests (`fmu.JointProblem`), these are
+        parameters that vary by `Damage` or by group, and the loss is the one in the group of the planned test.
+        With one test, these are parameters that may lose stiffness between this test and the planned one.
     beyond : float
         The loss that matters, such as 0.1; twice as much must be less than 1.
     prior : Prior, optional
-        With one test, the prior of each loss; the one of `Damage` by default.
+        With one test, the prior of each loss; defaults to the prior of `Damage`.
     """
 
     of: str | Sequence[str]
@@ -47,7 +47,7 @@ class DamageTarget:
         Raises
         ------
         ValueError
-            If a name is not the one of a parameter that may have a loss, or a prior is given for several tests.
+            If a name is not that of a parameter that may have a loss, or a prior is given for several tests.
         """
         several = len(problem.tests) > 1
         known = problem.layout.by_state if several else problem.names[: problem.n_structural]

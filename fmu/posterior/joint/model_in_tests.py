@@ -126,12 +126,12 @@ class ModelInTests(ModalModel):
 
     @property
     def truth(self) -> ModelInTests:
-        """The model with the true model of each configuration, instead of an approximation."""
+        """The same model with the true model of each configuration in place of its approximation."""
         return self._with([model.truth for model in self.parts])
 
     @property
     def full_solves(self) -> int:  # type: ignore[override]
-        """The number of points at which a full model was solved although there is a reduced model."""
+        """Number of points at which a full model was solved although there is a reduced model."""
         return sum(model.full_solves for model in self.parts)
 
     @property

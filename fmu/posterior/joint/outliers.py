@@ -1,14 +1,14 @@
-"""Tests that are outliers, whose scores have a wider distribution than the scores of other tests.
+"""Tests that are outliers: their scores have a wider distribution than the scores of other tests.
 
-With the probability ε, a test is an outlier, in one of several ways c that are equally probable: the score of one
-population alone, or the scores of all, are s times as large (a contaminated normal distribution; Tukey 1960, in
-*Contributions to Probability and Statistics*, Stanford University Press, 448–485). With the diagonal matrix D_c of
-these factors, ones and s, and the correlation matrix R of the populations, the density of the scores of a test is
+With the probability ε, a test is an outlier of one of m kinds c that are equally probable: the score of a single
+population, or all scores, are s times as large (a contaminated normal distribution; Tukey 1960, in *Contributions
+to Probability and Statistics*, Stanford University Press, 448–485). Let the diagonal matrix D_c have these factors
+of 1 and s, and let R be the correlation matrix of the populations. The density of the scores of a test is
 
-    p(z) = (1 − ε) N(z; 0, R) + ε/m Σ_c N(z; 0, D_c R D_c),
+    p(z) = (1 − ε) N(z; 0, R) + ε/m Σ_c N(z; 0, D_c R D_c).
 
-where m is the number of ways. Which tests are outliers is thereby summed over exactly. The probability that a test
-is an outlier of kind c, given the data, is the posterior mean of the share of term c in the sum.
+It sums exactly over the possible outliers. The probability that a test is an outlier of kind c, given the data, is
+the posterior mean of the share of term c in the sum.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ NAME = "share of outliers"
 @check_arguments
 @dataclass(frozen=True)
 class Outliers:
-    """Some tests may be outliers: the values of one population, or of all, are drawn from a wider one.
+    """Some tests may be outliers: the values of one population, or of all, are drawn from a wider distribution.
 
     Attributes
     ----------
     share : float or ScaledBeta
-        Probability ε that a test is an outlier; or its prior on [0, 1], with which it is inferred. Default: 0.05.
+        Probability ε that a test is an outlier, or its prior on [0, 1] if it is to be inferred. Default: 0.05.
     scale : float
-        The standard deviation of the scores of an outlier, relative to the others'. Default: 5.
+        Standard deviation of an outlier's scores, relative to the scores of other tests. Default: 5.
 
     Raises
     ------
     ValueError
-        If the share is not between 0 and 1, a prior is not one on [0, 1], or the scale does not exceed 1.
+        If the share is not between 0 and 1, a prior is not a prior on [0, 1], or the scale does not exceed 1.
     """
 
     share: float | ScaledBeta = 0.05
@@ -97,7 +97,7 @@ class ContaminatedScores:
     share : int or None
         Index in theta of ε; None if it is known.
     scored : ndarray of bool, shape (n_tests, p)
-        Whether a test has a score in a population. A score that it does not have cannot be that of an outlier.
+        Whether a test has a score in a population. A missing score cannot be an outlier.
     correlation : Correlation or None
         The correlation of the populations; None if they are independent.
     """
@@ -119,7 +119,7 @@ class ContaminatedScores:
 
     @cached_property
     def scales(self) -> FloatArray:
-        """The diagonals of D_c in each test, (n_kinds, n_tests, p); the first kind is a regular test."""
+        """Diagonals of D_c in each test, (n_kinds, n_tests, p); the first kind is a regular test."""
         p = self.scored.shape[1]
         kinds = np.ones((1 + p + (p > 1), p))
         kinds[1 : 1 + p][np.eye(p, dtype=bool)] = self.of.scale
@@ -187,7 +187,7 @@ class ContaminatedScores:
         return np.exp(terms - logsumexp(terms, axis=1)[:, None])
 
     def outlying(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability that a test is an outlier, and that the score of each population is.
+        """Return the probability that a test is an outlier, and the probability that each population's score is.
 
         The shapes are (n, n_tests) and (n, n_tests, p).
         """

@@ -38,7 +38,7 @@ class Errors(NamedTuple):
 
     @classmethod
     def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
-        """Divide the error models that the user gives; return them as `Errors`."""
+        """Return the user's error models, split into error models of modes and of other quantities."""
         given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
         quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
         if not quantities:
@@ -51,7 +51,7 @@ class Errors(NamedTuple):
         return {i: one for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)}
 
     def damping_parameters(self) -> list[Parameter]:
-        """Return the list of the damping parameters of all tests, each once."""
+        """Return a list of the damping parameters of all tests, each listed once."""
         found: list[Parameter] = []
         for one in self.of_frfs.values():
             found += [p for p in inferred_in(one.damping) if p not in found]
@@ -165,7 +165,7 @@ class InOneTest:
     n_structural: int
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the values, (n, q), and derivatives by the structural parameters in the test, or None.
+        """Return the values, (n, q), and their derivatives with respect to the structural parameters in the test.
 
         The derivatives have the shape (n, q, n_structural); they are None without `gradient`.
         """

@@ -1,4 +1,4 @@
-"""A typical point of a hierarchical posterior, for which the maximum lies far from most of the probability."""
+"""A typical point of a hierarchical posterior, whose maximum lies far from most of the probability."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
 def centre_scores(problem: UpdatingProblem) -> Layout:
     """Return the layout with the centring of each score that makes the posterior easiest to sample.
 
-    If the variance of a value given its test alone is C, and the population has the variance σ², the best weight
-    of the centred form is w = σ²/(σ² + C). The weight has to suit the smallest probable σ, where a centred form
-    has its funnel. The smallest probable σ is σ exp(−2/√(2 Σ w²)), because log σ has the information 2 Σ w². If σ
-    may be zero, no score is centred.
+    Let C be the variance of a value given its test alone, and σ² the variance of the population. The best weight
+    of the centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, where a centred
+    form has its funnel. The smallest probable σ is σ exp(−2/√(2 Σ w²)), because log σ has the information 2 Σ w².
+    If σ may be zero, no score is centred.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 def _most_probable(
     problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray, of_tests: FloatArray
 ) -> float:
-    """Set a population's centre and widths in `theta` from its values; return the largest change, in widths.
+    """Set a population's centre and widths in `theta` from its values; return the largest change in widths.
 
     `of_tests`, (n_tests,), are weights of the tests.
     """

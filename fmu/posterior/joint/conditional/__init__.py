@@ -1,4 +1,4 @@
-"""Densities of a hierarchical posterior: the scores given the main parameters, and these without the scores.
+"""Densities of a hierarchical posterior: scores given the main parameters, and main parameters without the scores.
 
-The main parameters are all parameters of theta but the scores.
+The main parameters are all parameters of theta except the scores (`fmu.posterior.joint`).
 """

@@ -1,8 +1,8 @@
-"""Bent ridges: the density of the scores of a test whose precise data leave some combinations of scores open.
+"""Curved ridges in the density of a test's scores, if precise data leave some combinations of scores undetermined.
 
-Along such a combination the other combinations follow a curve, which is a parabola to second order. Let the
-coordinates y have unit variances in the normal approximation, in the order of decreasing variances of the scores.
-The density is close to a normal distribution of the y with
+Along such a combination the other combinations follow a curve, to second order a parabola. Let the coordinates y
+have unit variances in the normal approximation, in the order of decreasing variances of the scores. The density is
+close to a normal distribution of the y with
 
 x_j = y_j + Σ_(i,k<j) Q_jik y_i y_k,
 
@@ -21,7 +21,7 @@ from fmu.types import FloatArray
 
 
 class Bend(NamedTuple):
-    """The parabolas of the densities of the scores of each test.
+    """The parabolas that the densities of each test's scores follow.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Bend(NamedTuple):
     curvature : ndarray, shape (n_tests, p, p, p)
         The coefficients Q.
     slopes : ndarray, shape (n_tests, p)
-        Derivatives of the values by the scores for which the matrices hold.
+        Derivatives of the values with respect to the scores, for which the matrices are valid.
     """
 
     forward: FloatArray
@@ -40,14 +40,14 @@ class Bend(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """A bend about a centre.
+    """A `Bend` about a given centre.
 
     Attributes
     ----------
     of : Bend
     centre : ndarray, shape (n, n_tests, p)
     stretch : ndarray, shape (n, n_tests, p)
-        The derivatives of the values by the scores, relative to the `slopes` of the bend.
+        Derivatives of the values with respect to the scores, relative to the `slopes` of the bend.
     """
 
     of: Bend
@@ -79,16 +79,16 @@ def find_bend(
     Parameters
     ----------
     gradient : callable
-        Returns the gradients of the log-densities of the scores of each test at scores (n, n_tests, p).
+        Returns the gradients of the log-densities of each test's scores, at scores (n, n_tests, p).
     mean : ndarray, shape (n_tests, p)
     precision : ndarray, shape (n_tests, p, p)
     slopes : ndarray, shape (n_tests, p)
-        Derivatives of the values by the scores.
+        Derivatives of the values with respect to the scores.
 
     Notes
     -----
-    Q is computed from gradients at points one standard deviation away from the mean in each direction, and between
-    each two directions: p (p + 1) points.
+    Q is computed from gradients at p (p + 1) points, one standard deviation away from the mean in each direction
+    and between each pair of directions.
     """
     values, vectors = np.linalg.eigh(precision)
     inverse = vectors / np.sqrt(values)[:, None, :]

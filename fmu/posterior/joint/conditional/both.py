@@ -1,4 +1,4 @@
-"""The densities of a hierarchical problem that its sampler alternates between."""
+"""The two conditional densities of a hierarchical problem between which its sampler alternates."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _CLIMBED = 0.01
 class Conditionals(NamedTuple):
     """The densities of scores and of main parameters of a hierarchical problem, with standard normal scores.
 
-    They are those of scores that are independent in time.
+    The scores are treated as independent in time.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Conditionals(NamedTuple):
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
-        The standard deviations of the scores there; not one for tests that are outliers.
+        Standard deviations of the scores at the typical point, which differ from 1 for outliers only.
     """
 
     scores: ScoresGivenMain
@@ -80,9 +80,9 @@ def scatter_about_typical(
     """Return `n` points about the typical point of a hierarchical posterior, (n, ndim), with finite densities.
 
     The main parameters scatter by their fitted normal distribution, the scores by their normal approximations,
-    both times `dispersion`. A point outside the bounds, without a finite density, or with main parameters far less
-    probable than those of such a normal distribution is moved halfway to the typical point until it is none of
-    these.
+    both `dispersion` times as wide. A point is moved halfway to the typical point until it is inside the bounds,
+    has a finite density, and has main parameters that are about as probable as draws from that normal
+    distribution.
     """
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores
@@ -155,7 +155,7 @@ def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
 def _about(
     plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> tuple[ScoresGivenMain, MarginalOfMain]:
-    """Return the densities of scores and of main parameters by expansions about theta, (1, ndim)."""
+    """Return the densities of scores and of main parameters, expanded about theta, (1, ndim)."""
     assert isinstance(plain.likelihood, OfTests)
     expansion = expand(plain.layout, plain.likelihood, theta[0])
     scores = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta, scales)
@@ -175,7 +175,7 @@ def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, sc
 def _bend(
     straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> ScoresGivenMain:
-    """Return the density of the scores with bent approximations, if some are bent noticeably."""
+    """Return the density of the scores with curved approximations, if the ridges of some are noticeably curved."""
 
     def gradient(z: FloatArray) -> FloatArray:
         slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]

@@ -45,8 +45,8 @@ class Expansion(NamedTuple):
     def weigh(self, noise: FloatArray) -> FloatArray:
         """Return factors of slope and information, (n, n_tests, 1), for other standard deviations (n, n_noise).
 
-        They are the means over the errors of a test of their variances in the expansion, relative to the variances
-        now: exact where one standard deviation belongs to all errors of the test.
+        A factor is the mean, over the errors of a test, of the variance in the expansion divided by the present
+        variance. It is exact if all errors of the test have one standard deviation.
         """
         if not noise.shape[1]:
             return np.ones((1, 1, 1))

@@ -1,18 +1,19 @@
-"""The populations given the values of their parameters in the tests, where the bounds have no influence.
+"""Draws of the populations given the values of their parameters in the tests, if the bounds have no influence.
 
-Given the values x_t (their logarithms in log-normal populations), the likelihood says nothing more on the centres
-μ, the standard deviations s and the correlation matrix R of the populations. With Σ = D R D, where D has the s on
-its diagonal, and the prior density |Σ|^(−(p+1)/2) they would have a normal and an inverse Wishart distribution,
+Given the values x_t (their logarithms in log-normal populations), the likelihood has no further information on the
+centres μ, the standard deviations s and the correlation matrix R of the populations. Let Σ = D R D, where D has
+the s on its diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal and an inverse Wishart
+distribution,
 
     Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n)
 
-(Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from it are candidates. They are accepted by the
-ratio of the prior to that prior, both as densities of (μ, s, R):
+(Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from these distributions are candidates. They
+are accepted by the ratio of the true prior to that prior, both as densities of (μ, s, R):
 
     w = p(μ) p(s) p(R) |Σ|^((p+1)/2) Π s_k^(−p).
 
-Where the tests are precise, this moves the populations much farther than steps that hold the scores. Both together
-are the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
+If the tests are precise, this moves the populations much further than steps that keep the scores fixed. Both kinds
+of step together are the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _TESTS = 4
 
 
 class Candidates(NamedTuple):
-    """Candidates for the populations of n chains, with the values that they have now.
+    """Candidates for the populations of n chains, at the present values in the tests.
 
     Attributes
     ----------
@@ -45,7 +46,7 @@ class Candidates(NamedTuple):
     z : ndarray, shape (n, n_tests, n_blocks, p)
         Scores; meaningless where a test has no score.
     log_ratio : ndarray, shape (n, n_blocks)
-        The logarithm of the ratio by which each block is accepted; −∞ where the bounds have an influence.
+        Logarithm of the acceptance ratio of each block; −∞ where the bounds have an influence.
     """
 
     main: FloatArray
@@ -54,7 +55,7 @@ class Candidates(NamedTuple):
 
 
 class PopulationsGivenValues:
-    """Candidates for populations by the values in the tests.
+    """Candidates for populations given the values in the tests.
 
     Independent populations are blocks that are accepted one by one; correlated populations are one block.
 
@@ -68,7 +69,7 @@ class PopulationsGivenValues:
     Attributes
     ----------
     n_blocks : int
-        Zero if candidates cannot be found for any population.
+        Zero if no population can have candidates.
     """
 
     def __init__(self, layout: Layout, parameters: Sequence[Parameter]) -> None:
@@ -171,10 +172,10 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 
 
 def _blocks(layout: Layout) -> list[list[Drawn]]:
-    """Return the populations that candidates can be found for, in blocks of equal sizes.
+    """Return the populations that can have candidates, in blocks of equal sizes.
 
-    Each has one standard deviation and values that are independent in time, and no test may be an outlier.
-    Candidates of correlated populations need scores in all tests.
+    Such a population has one standard deviation and values that are independent in time, and no test may be an
+    outlier. Correlated populations need scores in all tests.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
     if layout.outliers is not None:

@@ -1,7 +1,8 @@
-"""Populations and correlation times given values that are correlated in time.
+"""Draws of populations and correlation times given values that are correlated in time.
 
-The likelihood says nothing more on μ, s and T of a population given the values x_t in the tests (their logarithms
-in log-normal populations). With the precision matrix Q of the scores, and without bounds of the values,
+Given the values x_t in the tests (their logarithms in log-normal populations), the likelihood has no further
+information on μ, s and T of a population. With the precision matrix Q of the scores, and without bounds of the
+values,
 
     p(x | μ, s, T) = |Q|^½ s^(−m) exp(−½ (x − μ)ᵀ Q (x − μ) / s²) / (2π)^(m/2).
 
@@ -9,9 +10,9 @@ With the prior density 1/s of μ and s, and μ̂ by generalised least squares, S
 
     S/s² ~ χ²(m − 1),    μ | s ~ N(μ̂, s²/1ᵀQ1)
 
-(Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). A candidate is T from a random walk of log T, with μ
-and s drawn given T. It is accepted by the rule of Metropolis and Hastings in the density of values within bounds,
-with the priors of μ, s and T. So T, μ and s move together along the ridge of a wide scatter that changes slowly.
+(Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). A candidate has T from a random walk of log T, and μ
+and s drawn given T. It is accepted by the Metropolis–Hastings rule, with the density of values within bounds and
+the priors of μ, s and T. So T, μ and s move together along the ridge of a wide scatter that changes slowly.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """The main parameters with all scores integrated out, by an approximation that needs no solve of the model.
 
 The likelihood L_t of test t is expanded to second order in the values, which are linear in the scores z_t. The
-integral over the scores is then that of a normal density (Laplace's method; Tierney & Kadane 1986, *J. Am. Stat.
-Assoc.* 81, 82–86): with main parameters m, the precision Λ_t of the scores with the data and P without,
+integral over the scores is then the integral of a normal density (Laplace's method; Tierney & Kadane 1986, *J. Am.
+Stat. Assoc.* 81, 82–86). With main parameters m, and the precision of the scores Λ_t with the data and P without,
 
     log Q(m) = log p(m) + Σ_t [log L_t(ẑ_t) − ½ ẑ_tᵀ P ẑ_t − ½ log det Λ_t + ½ log det P],
 
 where ẑ_t are the most probable scores. Q has no funnel: it is smooth where a standard deviation of a population is
-small. A step of the main parameters in Q holds u_t = Λ_t^½ (z_t − ẑ_t), the scores in units of what main
-parameters and data leave open. The change of the error of the approximation, not its size, decides whether the
-step is accepted (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
+small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed, which are the scores in units of
+their uncertainty given main parameters and data. Whether the step is accepted depends on the change of the
+approximation error, not on its size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _LEAST, _MOST = 1e-3, 1e3
 class MarginalOfMain:
     """The approximate density of the main parameters, without scores, given standard deviations of errors.
 
-    It is one of coordinates w: arsinh(s/c) for the standard deviation s of a population, where c is the typical
-    standard deviation of a value given the data of its test alone, artanh(ρ) for a partial correlation, and scaled
-    for all other parameters.
+    It is a density of coordinates w. For the standard deviation s of a population, w is arsinh(s/c), where c is
+    the typical standard deviation of a value given the data of its test alone. It is artanh(ρ) for a partial
+    correlation, and a scaled value for all other parameters.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class MarginalOfMain:
     def log_prob_and_grad(
         self, w: FloatArray, theta: FloatArray, scales: FloatArray = REGULAR
     ) -> tuple[FloatArray, FloatArray, Linear]:
-        """Return the log-density (n,) of w, (n, d), its gradient, and the densities of the scores there.
+        """Return the log-density (n,) at w, (n, d), its gradient, and the densities of the scores there.
 
         The gradient is exact where bounds and the curvature of the values have no influence.
 
@@ -134,10 +134,10 @@ class MarginalOfMain:
     def rough_covariance(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
         """Return a covariance matrix of w, (d, d): the inverse of the curvature at theta, (1, ndim).
 
-        The curvature is computed by differences of the gradient. It may vanish by a standard deviation near zero,
-        so `_CURVATURE` is added for standard deviations and correlations, whose w are of the order of one. The
-        curvature of a normal distribution with the standard deviation of the uniform distribution between the
-        bounds is added for all parameters, so that the inverse is finite.
+        The curvature is computed by differences of the gradient. It may vanish for a standard deviation near zero,
+        so `_CURVATURE` is added for standard deviations and correlations, whose w are of the order of one. For all
+        parameters, the curvature of a normal distribution as wide as the uniform distribution between the bounds
+        is added, so that the inverse is finite.
         """
         w, d = self.coordinates(theta), len(self.columns)
         h = _STEP * np.minimum(1.0, np.minimum(w - self.lower, self.upper - w)[0])
@@ -152,13 +152,13 @@ class MarginalOfMain:
         return np.linalg.inv((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T + np.diag(added))
 
     def log_evidence(self, linear: Linear) -> FloatArray:
-        """Return the log of the integral over the scores of each test, (n, n_tests), less a term of the scales."""
+        """Return the log of the integral over each test's scores, (n, n_tests), up to a term of the scales."""
         found = linear.largest - linear.log_det_factor
         copula = self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)
 
     def _gradient(self, linear: Linear, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the sum of `log_evidence`, (n, ndim); those by scores have no meaning."""
+        """Return the derivatives of the sum of `log_evidence`, (n, ndim); entries of scores are meaningless."""
         of, known, n = self.given.scores, self.given.expansion, len(self.layout.parameters)
         moved = linear.slopes * linear.step
         pull = linear.pull - linear.weight * np.einsum(

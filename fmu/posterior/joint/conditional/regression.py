@@ -1,10 +1,10 @@
 """A normal distribution fitted to a log-density by regression of its gradients.
 
-Among all normal distributions N(m, C) the one that is closest to a density p, in the sense of the Kullback–Leibler
-divergence from N to p, has E[∇ log p] = 0 and E[−∇² log p] = C⁻¹, where the expectations are over N itself. A
-linear regression of the gradients on draws from N gives both expectations (Salimans & Knowles 2013, *Bayesian
-Anal.* 8, 837–882). The curvature at one point, in contrast, says little where the density is skewed or has its
-maximum at a bound.
+Among all normal distributions N(m, C), the one that is closest to a density p, in the sense of the
+Kullback–Leibler divergence from N to p, has E[∇ log p] = 0 and E[−∇² log p] = C⁻¹, where the expectations are over
+N itself. A linear regression of the gradients on draws from N gives both expectations (Salimans & Knowles 2013,
+*Bayesian Anal.* 8, 837–882). By contrast, the curvature at a single point is misleading if the density is skewed
+or has its maximum at a bound.
 """
 
 from __future__ import annotations
@@ -69,15 +69,15 @@ def fit_normal(
     gradient : callable
         Returns the gradients of the log-density at n points, (n, d) → (n, d).
     mean, covariance : ndarray, shapes (d,) and (d, d)
-        Where the search begins.
+        The distribution at which the search begins.
     lower, upper : ndarray, shape (d,)
         Bounds of the points. The density is continued by reflection.
 
     Notes
     -----
-    Draws of all rounds are made of the same standard normal numbers, with a mean of zero and unit covariance. The
-    curvature of a normal distribution with the standard deviation of the uniform distribution between the bounds
-    is added, so that the variances are finite where the density is flat.
+    The draws of all rounds use the same standard normal numbers, which have zero mean and unit covariance. The
+    curvature of a normal distribution as wide as the uniform distribution between the bounds is added, so that the
+    variances are finite where the density is flat.
     """
     d, flat = len(mean), 12.0 / (upper - lower) ** 2
     half = max(_POINTS * d, _FEWEST) // 2

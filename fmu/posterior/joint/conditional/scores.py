@@ -29,14 +29,14 @@ _INSIDE = 1e-9
 
 
 class Scattering(NamedTuple):
-    """A structural parameter that scatters over the tests: its values are those of a population, times a factor.
+    """A structural parameter that scatters over the tests: its values are drawn from a population, times a factor.
 
     Attributes
     ----------
     value_of : InTests
         The values in the tests.
     drawn : Drawn
-        The values before the factor.
+        The values before the factor is applied.
     """
 
     value_of: InTests
@@ -49,18 +49,18 @@ class Scattering(NamedTuple):
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
     def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the scores, (n, n_tests), of values (n_tests,), or of the nearest values within the bounds."""
+        """Return the scores, (n, n_tests), of values (n_tests,) or of the nearest values within the bounds."""
         low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
         base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
         return self.drawn.scores_at(np.broadcast_to(base, (len(theta), len(values))), theta)
 
     def slope(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the values by the scores, (n, n_tests), at theta (n, n_parameters)."""
+        """Return the derivatives of the values with respect to scores, (n, n_tests), at theta (n, n_parameters)."""
         return self.of_score(self.value_of(theta)[1])
 
     def of_score(self, slopes: list[Slope]) -> FloatArray:
-        """Return the derivatives by the scores, (n, n_tests), among the derivatives of the values."""
+        """Return the derivatives with respect to scores, (n, n_tests), out of all derivatives of the values."""
         return next(slope.values for slope in slopes if slope.columns is self.drawn.columns)
 
 
@@ -72,9 +72,9 @@ class Scores(NamedTuple):
     every : tuple of Scattering
         The parameters that scatter.
     parameters : ndarray of int, shape (p,)
-        The index of each of them among the structural parameters.
+        Index of each of them among the structural parameters.
     columns : ndarray of int, shape (n_tests, p)
-        The index of each score in theta; meaningless where there is no score.
+        Index of each score in theta; meaningless where there is no score.
     scored : ndarray of bool, shape (n_tests, p)
         Whether the test has the score.
     """
@@ -104,7 +104,7 @@ class Scores(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """The densities of the scores of each test where the values are linear in the scores about a centre.
+    """The densities of each test's scores, if the values are linear in the scores about a centre.
 
     Attributes
     ----------
@@ -113,22 +113,22 @@ class Linear(NamedTuple):
     z : ndarray, shape (n, n_tests, p)
         The scores of the centre.
     slopes : ndarray, shape (n, n_tests, p)
-        Derivatives of the values by the scores.
+        Derivatives of the values with respect to the scores.
     step : ndarray, shape (n, n_tests, p)
         The most probable scores minus `z`.
     largest : ndarray, shape (n, n_tests)
-        The logarithm of likelihood times exp(−½ zᵀ P z) at the most probable scores, where P is `of_prior`.
+        Logarithm of the likelihood times exp(−½ zᵀ P z) at the most probable scores, where P is `of_prior`.
     pull : ndarray, shape (n, n_tests, n_structural)
-        The gradients of the log-likelihoods by the values at the centre.
+        Gradients of the log-likelihoods with respect to the values, at the centre.
     weight : ndarray, shape (n, n_tests, 1) or (1, 1, 1)
         The factors of `Expansion.weigh`.
     factor, inverse : ndarray, shape (n, n_tests, p, p)
-        The Cholesky factors of the precision matrices of the scores with the data, and the inverses of the
+        Cholesky factors of the precision matrices of the scores given the data, and the inverses of these
         matrices.
     of_prior : ndarray, shape (n, n_tests, p, p)
-        The precision matrices of the scores without the data.
+        Precision matrices of the scores without the data.
     scales : ndarray, shape (n, n_tests, p) or (1, 1, 1)
-        The standard deviations of the scores without the data; one but for outliers.
+        Standard deviations of the scores without the data; 1 except for outliers.
     """
 
     at: FloatArray
@@ -163,9 +163,9 @@ class Normal(NamedTuple):
     factor : ndarray, shape (n, n_tests, p, p)
         The Cholesky factor of the precision matrix.
     scored : ndarray of bool, shape (n_tests, p)
-        Whether the test has the score. A score that it does not have has a mean of zero and unit precision.
+        Whether the test has the score. A missing score has zero mean and unit precision.
     curve : Curve, optional
-        Maps straightened scores to scores; they are equal without it.
+        Maps straightened scores to scores; without it they are equal.
     """
 
     mean: FloatArray
@@ -182,22 +182,22 @@ class Normal(NamedTuple):
         return z if self.curve is None else self.curve.straighten(z)
 
     def scatter(self, noise: FloatArray) -> FloatArray:
-        """Return deviations from the mean, made of standard normal `noise`, (n, n_tests, p) each."""
+        """Return deviations from the mean, computed from standard normal `noise`, (n, n_tests, p) each."""
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
     def standardise(self, z: FloatArray) -> FloatArray:
-        """Return independent standard normal numbers, (n, n_tests, p), in place of scores z."""
+        """Return scores z as independent standard normal numbers, (n, n_tests, p)."""
         return np.einsum("ntji,ntj->nti", self.factor, self.straighten(z) - self.mean)
 
     def restore(self, u: FloatArray) -> FloatArray:
-        """Return the scores with the standard normal numbers u; the inverse of `standardise`."""
+        """Return the scores that correspond to the standard normal numbers u; the inverse of `standardise`."""
         return self.bend(self.mean + self.scatter(u))
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
         """Return the log-densities of straightened scores z, (n, n_tests, p), up to a constant, (n, n_tests).
 
-        With finite nu they are those of Student distributions with nu degrees of freedom, with the same mean and
-        factor.
+        If `nu` is finite, they are log-densities of Student's distributions with nu degrees of freedom and the
+        same mean and factor.
         """
         turned = np.einsum("ntji,ntj->nti", self.factor, z - self.mean)
         square = np.einsum("nti,nti->nt", turned, turned)

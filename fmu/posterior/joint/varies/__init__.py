@@ -17,7 +17,7 @@ Variation = Population | Damage | UndatedDamage
 
 
 class Unknown(Varies):
-    """Placeholder for a name that is no kind of variation."""
+    """A placeholder for a name that is not a kind of variation."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -6,7 +6,7 @@ exp(−|x_i − x_j|/T), where T is the correlation time. With ρ_t = exp(−(x_
 
     z_1 ~ N(0, 1),    z_t | z_(t−1) ~ N(ρ_t z_(t−1), 1 − ρ_t²).
 
-A score depends on the scores before it by the last of them alone, so the density takes O(n) operations. The values
+Given the previous score, a score does not depend on earlier ones, so the density takes O(n) operations. The values
 of each test follow from its own scores. The innovations e_t = (z_t − ρ_t z_(t−1)) / √(1 − ρ_t²) are independent
 and standard normal.
 """
@@ -42,10 +42,11 @@ def times_of(by: str, tests: Sequence[Test]) -> FloatArray:
 
 
 def default_prior(times: FloatArray) -> LogNormal:
-    """Return the default prior of T for tests at ascending times: log-normal.
+    """Return the default prior of T for tests at ascending times, which is log-normal.
 
-    5 % of it are below a third of the median time between tests, where scores are nearly independent, and 5 %
-    above the time from the first test to the last, where the data cannot tell a slow change from the mean.
+    It has 5 % of its probability below a third of the median time between tests, where scores are nearly
+    independent, and 5 % above the time from the first test to the last, beyond which a slow change looks like a
+    change of the mean.
     """
     low, high = np.median(np.diff(times)) / _SHORT, times[-1] - times[0]
     return LogNormal(float(np.sqrt(low * high)), float(np.log(high / low) / (2.0 * _QUANTILE)))
@@ -115,7 +116,7 @@ class InTime:
         return None if isinstance(self.correlation_time, float) else self.correlation_time
 
     def correlation_times(self, theta: FloatArray) -> FloatArray:
-        """Return T, (n, 1), at theta (n, n_parameters); not below a value at which scores are independent."""
+        """Return T, (n, 1), at theta (n, n_parameters), but at least a value at which scores are independent."""
         column = self.column()
         found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
         return np.maximum(found, _LEAST * np.diff(self.times).min())
@@ -125,7 +126,7 @@ class InTime:
     ) -> tuple[FloatArray, FloatArray]:
         """Return theta with T after a step of a random walk of log T, and the log-ratio of its priors, (n,).
 
-        The ratio has the Jacobian of log T. The sizes of the steps are random, as T is known more or less well.
+        The ratio includes the Jacobian of log T. The step sizes are random, because T may be known well or badly.
         """
         column, n = self.column(), len(theta)
         if column is None:
@@ -171,7 +172,7 @@ class InTime:
         return value, by_score, by_time.sum(axis=1)
 
     def precision(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the diagonal (n, m) of the tridiagonal precision matrix, and the one beside it, (n, m − 1)."""
+        """Return the diagonal (n, m) and the off-diagonal (n, m − 1) of the tridiagonal precision matrix."""
         rho, left = self.between(theta)
         diagonal = np.ones((len(theta), len(self.order)))
         diagonal[:, 1:] += rho**2 / left
@@ -196,8 +197,8 @@ class InTime:
     ) -> FloatArray:
         """Return the score (n,) of a further test, with the innovation e (n,), given the scores z (n, m).
 
-        Its time is in `covariates`, or follows the last test after the median time between tests. A further test
-        between two others depends on both.
+        Its time is taken from `covariates`; by default it follows the last test after the median time between
+        tests. The score of a further test between two others depends on both.
         """
         time = covariates.get(self.by, float(self.times[-1] + np.median(np.diff(self.times))))
         k = int(np.searchsorted(self.times, time))
@@ -281,7 +282,7 @@ class ScoresInTime:
 
     @cached_property
     def parts(self) -> list[BoolArray]:
-        """Masks of tests, (n_tests,) each; scores of one part are independent given all other scores."""
+        """Masks of tests, (n_tests,) each: scores in one mask are independent given all other scores."""
         beside: list[set[int]] = [set() for _ in range(self.n_tests)]
         for _, one in self._each:
             for a, b in pairwise(one.order.tolist()):
@@ -312,7 +313,7 @@ class ScoresInTime:
         return z
 
     def innovations(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the innovations of the scores z, (n, n_tests, p) each; independent scores are their own."""
+        """Return the innovations of the scores z, (n, n_tests, p); independent scores are returned unchanged."""
         e = z.copy()
         for k, one in self._each:
             e[:, one.order, k] = one.innovations(theta, z[:, one.order, k])

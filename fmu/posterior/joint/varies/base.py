@@ -48,12 +48,12 @@ class Role(NamedTuple):
 
 
 class Slope(NamedTuple):
-    """The derivatives of the values in the tests, each with respect to one parameter of theta.
+    """Derivatives of the values in the tests, each with respect to one parameter of theta.
 
     Attributes
     ----------
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the parameter.
+        For each test, the index of the parameter in theta.
     values : ndarray, shape (n, n_tests)
         The derivative of the value in each test.
     """
@@ -63,13 +63,13 @@ class Slope(NamedTuple):
 
 
 def add_by_column(gradient: FloatArray, slope: Slope) -> None:
-    """Add derivatives of terms of the tests to a gradient (n, ndim), in which tests may have the same columns."""
+    """Add derivatives of the tests' terms to a gradient (n, ndim); several tests may have the same column."""
     for column in np.unique(slope.columns):
         gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
 
 
 def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
-    """Return the sums over the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
+    """Return the sums of the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
     found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
     order = np.argsort(test, kind="stable")
     first = np.flatnonzero(np.diff(test[order], prepend=-1))
@@ -115,19 +115,19 @@ class InTests:
         return self(theta)[0][:, like]
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) since the test `reference`, without trends and scatter."""
+        """Return the relative losses (n, n_tests) since the reference test, without trends and scatter."""
         value = self(theta)[0]
         return np.asarray(1.0 - value / value[:, [reference]])
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> InTests:
         """Return the parameter with another centring and reference of its scores; itself if it has no scores.
 
-        `references` maps the index of the centre in theta to the centring and the reference; see `Drawn`.
+        `references` maps the index in theta of the centre to the centring and the reference; see `Drawn`.
         """
         return self
 
     def after(self, n: int) -> InTests:
-        """Return the parameter with the indices of its scores increased by `n`; itself if it has no scores."""
+        """Return a copy that reads its scores from columns of theta shifted by `n`; itself if it has no scores."""
         return self
 
     def factors(self, theta: FloatArray) -> list[Factor]:
@@ -137,7 +137,7 @@ class InTests:
 
 @dataclass(frozen=True)
 class Multiplied(InTests):
-    """A structural parameter with the values of another `InTests`, times a factor in each test.
+    """A structural parameter that is another `InTests` times a factor in each test.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class Multiplied(InTests):
     of: InTests
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the factor at theta (n, n_parameters), which no score changes."""
+        """Return the factor at theta (n, n_parameters), which does not depend on the scores."""
         raise NotImplementedError
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
@@ -170,7 +170,7 @@ class Multiplied(InTests):
         return self.of.base
 
     def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
+        """Return a copy that reads its scores from columns of theta shifted by `n`."""
         return replace(self, of=self.of.after(n))
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:
@@ -221,7 +221,7 @@ class Theta:
         self._covariates: dict[str, Covariate] = {}
 
     def covariate(self, name: str) -> Covariate:
-        """Return a covariate of the tests; its values that are not known are added once to theta."""
+        """Return a covariate of the tests, after adding its unknown values to theta once."""
         if name not in self._covariates:
             self._covariates[name] = Covariate.of_tests(
                 name, self.tests, lambda parameter, test: self.add(parameter, "covariate", None, test)
@@ -251,7 +251,7 @@ class Theta:
         return same[0]
 
     def add_score(self, parameter: Parameter, of: int, where: str) -> int:
-        """Add the score of a test; return the index of the score among the scores."""
+        """Add the score of a test; return its index among the scores."""
         self.scores.append(parameter)
         self.roles_of_scores.append(Role("score", of, where))
         return len(self.scores) - 1
@@ -273,7 +273,7 @@ class Varies:
 
     @property
     def by_date(self) -> str | None:
-        """The covariate that is the time of a loss at an unknown date, empty for the order; None without one."""
+        """The time covariate of a loss at an unknown date, empty for the order of the tests; else None."""
         return None
 
     @property
@@ -283,11 +283,11 @@ class Varies:
 
     @property
     def population(self) -> Varies | None:
-        """The population from which values are drawn, which may be correlated with others; None without one."""
+        """The population of the values, which may be correlated with others; None if there is none."""
         return None
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        """Return a list of messages on what the tests lack for the parameter `name` to vary in this way."""
         here = [test for test in tests if name not in test.known]
         found = []
         if self.by_test and len(here) < 2:

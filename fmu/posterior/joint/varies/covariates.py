@@ -17,15 +17,15 @@ from fmu.types import BoolArray, FloatArray, IntArray
 class Covariate:
     """A quantity x that may change the structure from test to test.
 
-    Where x is missing, or known with an error only, the true value is a parameter of theta.
+    If x is missing or known only with an error, its true value is a parameter of theta.
 
     Attributes
     ----------
     name : str
     values : ndarray, shape (n_tests,)
-        The known value in each test. If the value is a parameter of theta: the median of its prior.
+        The known value in each test, or the median of its prior if the value is a parameter of theta.
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the value; that of any inferred value where the value is known.
+        For each test, the index of the value in theta. If the value is known, the index of any inferred value.
     is_inferred : ndarray of bool, shape (n_tests,)
         Whether the value is a parameter of theta.
     mean : float
@@ -42,8 +42,8 @@ class Covariate:
     def of_tests(cls, name: str, tests: Sequence[Test], add: Callable[[Parameter, str], int]) -> Covariate:
         """Return the covariate `name` of the tests.
 
-        `add` adds a parameter of a test to theta and returns its index: the true value, where it is not known. A
-        missing value has a normal prior, with the mean and the standard deviation of the values in other tests.
+        If the true value in a test is not known, `add` adds it to theta as a parameter and returns its index. A
+        missing value has a normal prior with the mean and the standard deviation of the values in other tests.
         """
         known = known_values(name, tests)
         mean, n = float(known.mean()), len(tests)
@@ -71,7 +71,7 @@ class Covariate:
 
 
 def middle_of(given: float | Prior) -> float:
-    """Return a known value as it is, and the median of a value with a distribution."""
+    """Return a known value unchanged, and the median of a value given as a distribution."""
     return given.median_within(*given.support) if isinstance(given, Prior) else float(given)
 
 
@@ -81,7 +81,7 @@ def known_values(name: str, tests: Sequence[Test]) -> FloatArray:
 
 
 def find_mistakes_of_covariate(name: str, of: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages that say what the tests lack for the parameter `of` to depend on a covariate."""
+    """Return a list of messages on what the tests lack for the parameter `of` to depend on a covariate."""
     absent = [t for t, test in enumerate(tests) if name not in test.covariates]
     if absent:
         rule = f"must have {name}, on which {of} depends (got none)"

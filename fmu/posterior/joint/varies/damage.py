@@ -30,7 +30,7 @@ class Damage(Varies):
     gain. Negative losses are allowed because noise produces them where there is no damage; without them the losses
     would be biased upwards.
 
-    Where the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d) with the population F of
+    If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d) with the population F of
     the undamaged values (`Population`).
 
     Attributes
@@ -97,7 +97,7 @@ def undamaged_in_tests(
 ) -> InTests:
     """Add the undamaged value, or its population, to theta; return the undamaged values in the tests.
 
-    A value that is equal in all tests has the role of this `kind`, `where` it holds.
+    If all tests have the same value, it has the role `kind`, which holds for `where`.
     """
     if scatter is not None:
         return scatter.in_tests(p, of, theta, here)
@@ -113,7 +113,7 @@ class Lost(Multiplied):
     of : InTests
         θ₀, the undamaged value in each test.
     columns : ndarray of int, shape (n_tests,)
-        Index in theta of the loss d in each test; that of any loss for a test in the reference.
+        Index in theta of the loss d in each test; for a test in the reference, the index of any loss.
     is_lost : ndarray of bool, shape (n_tests,)
         Whether the test has a loss; False in the reference.
     """
@@ -122,13 +122,13 @@ class Lost(Multiplied):
     is_lost: BoolArray
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the shares 1 − d that are left in the tests, at theta (n, n_parameters)."""
+        """Return the remaining shares 1 − d in the tests, at theta (n, n_parameters)."""
         loss = np.where(self.is_lost, theta[:, self.columns], 0.0)
         by_loss = np.broadcast_to(np.where(self.is_lost, -1.0, 0.0), loss.shape)
         return Factor(1.0 - loss, [Slope(self.columns, by_loss)])
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) in the tests, since a test in the reference."""
+        """Return the relative losses (n, n_tests) since a test in the reference."""
         return np.where(self.is_lost, theta[:, self.columns], 0.0)
 
     def identity(self, test: int) -> Hashable:

@@ -1,10 +1,10 @@
-"""The values of a parameter that scatters in the tests: its scores, and how they are sampled.
+"""The values of a parameter that scatters over the tests: its scores, and the form in which they are sampled.
 
 The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the score of the test, Φ is the standard normal distribution
 function, and F is the distribution function of a normal distribution truncated to the bounds of the parameter. If
 F is the population's, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This is the
-non-centred form of a hierarchical model, easy to sample where a test says little about its own value. If F is
-fixed, the scores are the values themselves in other units. This is the centred form, which is easy to sample
+non-centred form of a hierarchical model, which is easy to sample where a test says little about its own value. If
+F is fixed, the scores are the values themselves in other units. This is the centred form, which is easy to sample
 where a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean
 w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical
 Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of
@@ -62,11 +62,11 @@ class Drawn(InTests):
     columns : ndarray of int, shape (n_tests,)
         For each test, the index in theta of the score.
     scored : ndarray of bool, shape (n_tests,)
-        Whether the test has a score. In a test without a score the value is known.
+        Whether the test has a score. If it has none, its value is known.
     centring : ndarray, shape (n_tests,)
         The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float and ndarray, shape (n_tests,)
-        The reference centre μ₀ and the reference width σ₀ of each test.
+        The reference centre μ₀, and the reference width σ₀ of each test.
     in_time : InTime, optional
         The scores in time, if they are correlated in time.
     last : LastTheta
@@ -101,12 +101,12 @@ class Drawn(InTests):
         return found
 
     def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
+        """Return the negative second derivative of each score's log-density, (n, n_tests), for distant bounds."""
         value, (_, width), (_, blend), _ = self._at(theta)
         return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
-        """Add −∂² log-density by two scores that follow each other in time to `curvature`, in units of `scale`."""
+        """Add negative second derivatives over pairs of scores adjacent in time to `curvature`, scaled."""
         if self.in_time is None:
             return
         slopes, order = np.sqrt(self.curvature(theta)), self.in_time.order
@@ -136,7 +136,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with the standard normal scores converted to scores with the present centring."""
+        """Return a copy of theta with standard normal scores converted to scores with the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.family.values(z, centre, width)[0]
@@ -221,7 +221,7 @@ class Drawn(InTests):
         return self.family.values(future.scores[self.centre], *ends)[0]
 
     def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
+        """Return a copy that reads its scores from columns of theta shifted by `n`."""
         return replace(self, columns=self.columns + n)
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:

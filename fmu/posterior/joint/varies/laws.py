@@ -50,7 +50,7 @@ class Effect:
     columns: tuple[int, ...]
 
     def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
-        """Return the effects at x, with their derivatives.
+        """Return the effects at x, and their derivatives.
 
         Parameters
         ----------
@@ -68,11 +68,11 @@ class Law:
     """A law by which a parameter depends on a covariate."""
 
     def bind(self, of: str, covariate: Covariate, add: Add) -> Effect:
-        """Add the parameters of the law to theta with `add`; return the effect. `of` says what they belong to."""
+        """Add the law's parameters to theta with `add`; return the effect. `of` names their owner."""
         raise NotImplementedError
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return a list of messages on what contradicts the range of the covariate `name` in the tests."""
+        """Return a list of messages on contradictions with the range of the covariate `name` in the tests."""
         return []
 
     def as_dict(self) -> dict[str, Plain]:
@@ -88,8 +88,8 @@ class Polynomial(Law):
     Attributes
     ----------
     priors : sequence of Prior
-        Priors of the coefficients b₁, b₂, …; the degree of the polynomial is their number. The unit of b_p is
-        that of 1/x^p. A single prior gives a straight line, as a prior in place of a law does.
+        Priors of the coefficients b₁, b₂, …; their number is the degree of the polynomial. The unit of b_p is that
+        of 1/x^p. A single prior gives a straight line, just as a prior in place of a law does.
 
     Raises
     ------
@@ -149,9 +149,9 @@ class PiecewiseLinear(Law):
     prior : Prior
         Prior of the relative slope of each piece.
     kinks : sequence of float or Prior
-        The covariate at the kinks, in ascending order. A prior stands for one kink whose place is inferred,
-        between the smallest and the largest value of the covariate in the tests. The log-density is then
-        continuous, and has a kink of its own where this place passes the covariate of a test.
+        The values of the covariate at the kinks, in ascending order. A prior in place of the sequence means one
+        kink whose position is inferred, between the smallest and the largest value of the covariate in the tests.
+        The log-density is then continuous, but has kinks where this position passes the covariate of a test.
 
     Raises
     ------
@@ -170,7 +170,7 @@ class PiecewiseLinear(Law):
             raise ArgumentError("kinks", "must be one value or several in ascending order", list(self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return a list of messages on kinks that no test can show."""
+        """Return a list of messages on kinks outside the range of the tests."""
         rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
         if isinstance(self.kinks, Prior):
             without = not np.isfinite(self.kinks.log_mass(low, high))
@@ -230,5 +230,5 @@ def slope(name: str, prior: Prior) -> Parameter:
 
 
 def law_of(how: Prior | Law) -> Law:
-    """Return the law; a prior stands for a straight line with this prior of its slope."""
+    """Return the law; a prior means a straight line with this prior of its slope."""
     return Polynomial([how]) if isinstance(how, Prior) else how

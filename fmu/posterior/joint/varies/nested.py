@@ -55,8 +55,8 @@ class Nested(Multiplied):
     ) -> Nested:
         """Add s, with the prior `between`, and the effects of groups to theta; return the values in the tests.
 
-        The parameter with the index `number` and the `name` is not known in the tests `here`, and has the values
-        `of` without effects.
+        The parameter has the index `number` and the `name`. Its value is unknown in the tests `here`, and `of`
+        gives its values without effects.
         """
         median, least = between.median_within(*between.support), max(0.0, between.support[0])
         s = Parameter(f"{name} sd between groups", median, least, prior=between)
@@ -78,13 +78,13 @@ class Nested(Multiplied):
         return Factor(factor, [by_width, Slope(self.columns, by_effect * s)])
 
     def _of_effect(self, effect: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the factors on the values, and their derivatives by the effect s u."""
+        """Return the factors on the values, and their derivatives with respect to the effect s u."""
         if self.of_logarithm:
             return np.exp(effect), np.exp(effect)
         return 1.0 + effect, np.ones_like(effect)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) since the test `reference`, without scatter: none."""
+        """Return relative losses of zero, (n, n_tests): effects of groups are scatter."""
         return np.zeros((len(theta), len(self.columns)))
 
     def identity(self, test: int) -> Hashable:
@@ -106,7 +106,7 @@ class Nested(Multiplied):
 
 
 def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages that say what the tests lack for the parameter `name` to differ between groups."""
+    """Return a list of messages on what the tests lack for the parameter `name` to differ between groups."""
     rule = f"must be given, as {name} scatters between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     groups = {test.group for test in tests if name not in test.known}
@@ -117,7 +117,7 @@ def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
 
 
 def find_mistakes_of_sds(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages that say what the tests lack for an sd of `name` in each group."""
+    """Return a list of messages on what the tests lack for a standard deviation of `name` in each group."""
     rule = f"must be given, as the sd of {name} differs between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     sizes = Counter(test.group for test in tests if name not in test.known and test.group)

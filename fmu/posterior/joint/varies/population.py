@@ -38,15 +38,16 @@ class Population(Varies):
         and bounds.
     sd : Prior, optional
         Prior of the inferred standard deviation. Default: half-normal, with a scale of a fifth of the parameter's
-        start value, or of 0.2 for ``"log-normal"``.
+        starting value, or of 0.2 for ``"log-normal"``.
     between : Prior, optional
         Prior of a second standard deviation, between groups of tests such as seasons, relative to the value. `sd`
-        is then that within a group (`fmu.posterior.joint.varies.nested`). By default groups do not differ.
+        is then the standard deviation within a group (`fmu.posterior.joint.varies.nested`). By default groups do
+        not differ.
     sd_by_group : bool
-        Whether each group of tests has a standard deviation of its own, with the prior `sd`, about the common mean
-        or median. By default all tests have the same.
+        Whether each group of tests has its own standard deviation, with the prior `sd`, about the common mean or
+        median. By default all tests have the same standard deviation.
     correlation_time : float, Prior or "inferred", optional
-        Correlation time T of the values: two tests a time Δt apart have scores with the correlation exp(−Δt/T)
+        Correlation time T of the values: the scores of two tests a time Δt apart have the correlation exp(−Δt/T)
         (`fmu.posterior.joint.varies.autocorrelation`). With a prior it is inferred. The prior of ``"inferred"`` is
         log-normal, with 5 % below a third of the median time between tests, and 5 % above the time from the first
         test to the last. By default tests are independent.
@@ -90,7 +91,7 @@ class Population(Varies):
         return self.distribution == "log-normal"
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        """Return a list of messages on what the tests lack for the parameter `name` to vary in this way."""
         found = super().find_mistakes(name, tests)
         if self.between is not None:
             found += find_mistakes_of_groups(name, tests)

@@ -1,4 +1,4 @@
-"""Structural parameters that theta contains directly, one value for all tests or several; or not at all."""
+"""Structural parameters whose values are themselves parameters of theta, or are not inferred."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Taken(InTests):
 
 @dataclass(frozen=True)
 class Held(InTests):
-    """A structural parameter that is not updated: it has its start in every test.
+    """A structural parameter that is not updated: it has its starting value in every test.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Shared(Varies):
     kind: ClassVar[str] = SHARED
 
     def place_of(self, test: Test) -> str:
-        """Return the name of the test or group with a value of its own; empty if all tests share one value."""
+        """Return the name of the test or group that has its own value; empty if all tests share one value."""
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:

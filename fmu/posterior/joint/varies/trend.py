@@ -123,7 +123,7 @@ class Trends:
         return Trend(of, effects) if effects else of
 
     def _effect(self, owner: str, covariate: str) -> OnCovariate:
-        """Return the effect of a covariate, which the parameter `owner` may have in common with others."""
+        """Return the effect of a covariate; the parameter `owner` may share it with other parameters."""
         found = self._effects.get((owner, covariate))
         if found is None:
             number, x = self._names.index(owner), self._theta.covariate(covariate)

@@ -93,7 +93,7 @@ def _values_near_bounds(
 def truncated_normal_log_pdf(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, Slopes]:
-    """Return the log-density of the truncated normal distribution, and its derivatives by x, mean and sd.
+    """Return the log-density of the truncated normal distribution, and its derivatives over x, mean and sd.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def truncated_normal_log_pdf(
 
 
 def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> Slopes:
-    """Return the log-probability of the values within the bounds, and minus its derivatives by mean and sd."""
+    """Return the log-probability of values within the bounds, and its negative derivatives over mean and sd."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         log_mass = _log_mass(alpha, beta)
