@@ -56,7 +56,7 @@ class Scattering(NamedTuple):
         return self.drawn.scores_at(np.broadcast_to(base, (len(theta), len(values))), theta)
 
     def slope(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the values with respect to scores, (n, n_tests), at theta (n, n_parameters)."""
+        """Return the derivatives of values with respect to scores, (n, n_tests), at theta (n, n_parameters)."""
         return self.of_score(self.value_of(theta)[1])
 
     def of_score(self, slopes: list[Slope]) -> FloatArray:
