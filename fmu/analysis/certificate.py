@@ -37,19 +37,21 @@ class Effort:
     Attributes
     ----------
     work : int
-        Limit of the degrees of freedom times the draws at which the bound is evaluated.
+        Largest product of the number of degrees of freedom and the number of draws at which the bound is
+        evaluated.
     fewest, most : int
         Smallest and largest number of these draws.
     each : int
         One in this many of these draws is solved with the full model.
     solved, solved_of_large : int
-        Smallest number of full solves, and the same for structures with at least `large` degrees of freedom.
+        Smallest number of full solves for small structures, and for those with at least `large` degrees of
+        freedom.
     worst : int
         Number of full solves at the draws with the largest bounds.
     large : int
-        Number of degrees of freedom from which a structure is large.
+        Number of degrees of freedom from which a structure counts as large.
     rounding : float
-        Share of the tolerance by which the rounding of the full model may exceed the bound.
+        Share of the tolerance by which the error may exceed the bound, to allow for rounding in the full model.
     """
 
     work: int = 150_000
@@ -172,7 +174,7 @@ def certify(
 def _terms_of_both(
     problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the log-likelihood terms at `theta` (n, ndim) by the full model and by the reduced model."""
+    """Return the log-likelihood of each mode at `theta` (n, ndim), by the full model and by the reduced model."""
     likelihood = problem.likelihood
     of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)
     if likelihood.by_frequencies:
@@ -182,7 +184,7 @@ def _terms_of_both(
 
 
 def certificate_failures(attrs: Mapping[Hashable, str | float]) -> list[str]:
-    """Return reasons why draws of a surrogate are unreliable; empty for exact draws or a valid certificate."""
+    """Return the reasons why a surrogate's draws are unreliable; empty for exact draws or a valid certificate."""
     found = SurrogateCertificate.from_trace(attrs)
     return [] if found is None or "second_stage_proposals" in attrs else found.reason_against()
 

@@ -146,7 +146,7 @@ def seconds_of_a_solve(problem: UpdatingProblem) -> float:
 
 
 def _time_call(work: Callable[[], object]) -> float:
-    """Return the time of a call in seconds; a short call is timed twice, since the first may load modules."""
+    """Return the time of a call in seconds; a call below 1 s is repeated, because the first may load modules."""
     took = 0.0
     for _ in range(2):
         began = time.perf_counter()

@@ -203,7 +203,10 @@ def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
-    """Return the standard error from the chains' separate estimates, NaN for one chain, and the larger error."""
+    """Return the standard error from the spread of the chains' estimates, NaN for one chain, and the larger error.
+
+    The larger error is that of `within` and this one.
+    """
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     return between, float(np.fmax(within, between))
 
@@ -335,7 +338,7 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
 
 
 def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
-    """Return the evidences; each that disagrees with a reliable one has this as a further doubt."""
+    """Return the evidences; each one that disagrees with a reliable one has this as an additional doubt."""
     reliable = [one for one in found if not one.doubts]
     compared = []
     for one in found:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _Estimate(NamedTuple):
-    """An estimate from draws (chains, draws, rungs), and the influence (chains, draws) of each draw on it."""
+    """An estimate from log-likelihoods (chains, draws, rungs), and each draw's influence on it (chains, draws)."""
 
     value: float
     influence: FloatArray
@@ -69,7 +69,7 @@ def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
 
 
 def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the logarithm of the mean exponential at each rung.
+    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the log of the mean of its exponential at each rung.
 
     The shapes are (chains, draws, rungs − 1) and (rungs − 1,).
     """
@@ -82,9 +82,9 @@ def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     """Return log Z = ∫₀¹ m(t) dt, where m and v are the mean and variance of the log-likelihood l at t.
 
     The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a)
-    instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so that g
-    = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
-    that the first three rungs are equidistant in s. If the model fails in a part of the prior, the mean at t = 0
+    instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
+    g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
+    that the first three rungs are evenly spaced in s. If the model fails in part of the prior, the mean at t = 0
     is taken over the rest, and the logarithm of the share of the rest is added to the integral.
     """
     known = np.isfinite(draws)

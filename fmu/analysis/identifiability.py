@@ -173,12 +173,12 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     ----------
     problem : UpdatingProblem
         A problem with an error model of modes. Inferred standard deviations of errors are held fixed. The scores
-        of tests in a population, effects of groups, and covariates that are not known are integrated out. The
-        standard deviation, the correlations and the correlation time of a population and the share of outliers are
-        omitted, because they change no mode of a test at the population mean; so are dates of damage and kinks,
-        which change no mode at a loss or a slope of zero.
+        of tests in a population, effects of groups, and unknown covariates are integrated out. The standard
+        deviation, the correlations and the correlation time of a population and the share of outliers are omitted,
+        because they change no mode of a test at the population mean. Dates of damage and kinks are omitted too,
+        because they change no mode if the loss or the slope is zero.
     theta : array_like, shape (ndim,), optional
-        Point of linearisation, SI units, within the bounds; the start if not given.
+        Point of linearisation, SI units, within the bounds. Defaults to the starting point of the problem.
 
     Returns
     -------
@@ -212,7 +212,10 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
 
 
 def _integrate_out(sensitivity: FloatArray, by_scores: FloatArray) -> FloatArray:
-    """Return the sensitivities scaled by the errors and the effects of the scores together."""
+    """Return the sensitivities in standard deviations of the measurement errors and the tests' scatter combined.
+
+    The scatter comes from the scores, on which the measured quantities depend by `by_scores`.
+    """
     if not by_scores.size:
         return sensitivity
     root = np.linalg.cholesky(np.eye(len(by_scores)) + by_scores @ by_scores.T)
@@ -222,7 +225,7 @@ def _integrate_out(sensitivity: FloatArray, by_scores: FloatArray) -> FloatArray
 def with_identifiability(
     trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None
 ) -> xr.DataTree:
-    """Return the trace with the identifiability at the start and, if known, at the highest maximum stored in it.
+    """Return the trace with the identifiability at the starting point and, if known, at the highest maximum.
 
     A point at which the model has no derivative is skipped, so that the draws are not lost.
     """
@@ -253,7 +256,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return a dict of the stored results of `with_identifiability` by name of the state; empty without any."""
+    """Return the results stored by `with_identifiability`, by the name of the point; empty if there are none."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()
@@ -278,6 +281,6 @@ def truncated_sd(parameter: Parameter) -> float:
 
 @cache
 def _legendre_nodes() -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights of the quadrature, which take 0.1 s to find."""
+    """Return the nodes and weights of the quadrature; they are cached, because computing them takes 0.1 s."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     return node, weight

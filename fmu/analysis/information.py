@@ -52,7 +52,7 @@ class Information:
     names : tuple of str
     contraction : ndarray, shape (ndim,)
         1 − the ratio of posterior to prior variance (Betancourt 2018, "Towards a principled Bayesian workflow"),
-        of the logarithm where `of_logarithm`.
+        of the logarithm where `of_logarithm` is True.
     of_logarithm : tuple of bool
         Whether the prior of each parameter is log-normal.
     informed : ndarray of bool, shape (ndim,)
@@ -64,7 +64,7 @@ class Information:
     remaining_sd : ndarray, shape (ndim,)
         Ratio of posterior to prior standard deviation along each direction.
     is_left : ndarray of bool, shape (ndim,)
-        Whether each direction is left to the prior.
+        Whether each direction is determined by the prior alone.
     uninformed : tuple of (Uninformed, float)
         Combinations of few parameters that span the uninformed directions, each with its ratio of posterior to
         prior standard deviation.
@@ -110,7 +110,7 @@ class Information:
         return said
 
     def sentences(self) -> list[str]:
-        """Return sentences that say how much the data inform each direction, the least informed one first."""
+        """Return sentences on how much the data inform each direction, the least informed one first."""
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "
@@ -209,7 +209,7 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 
 
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
-    """Return the sentence on the two parameters that the data separate least; empty if no two are confused.
+    """Return a sentence on the two parameters that the data separate least; empty if the data confuse no two.
 
     The draws decide, by the criterion of `information`. If the trace has no draws from the prior, the linearised
     model decides.

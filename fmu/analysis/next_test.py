@@ -1,4 +1,8 @@
-"""Whether a new test is one of the population of the earlier tests, and which parameter has departed if not."""
+"""Whether a new test comes from the population of the earlier tests, and if not, which parameter has departed.
+
+The score of a test is the distance of a parameter's value from the population mean, in population standard
+deviations.
+"""
 
 from __future__ import annotations
 
@@ -42,10 +46,10 @@ def predict_tests(
     like: str | None = None,
     draws: Annotated[int, Ge(2)] = MOST_DRAWS,
 ) -> pd.DataFrame:
-    r"""Compare new tests of a structure with the posterior prediction of the next test.
+    """Compare new tests of a structure with the posterior prediction of the next test.
 
-    Each new test is compared with the earlier tests alone. Where values are correlated in time, it is at its time
-    in the covariates; in the order of the tests it is the one after the last.
+    Each new test is compared with the earlier tests only, not with the other new tests. In the order of the tests
+    it comes after the last. If values are correlated in time, its covariates must give its time.
 
     The next test is simulated at n draws of the posterior: its scores are drawn from the populations, it has the
     covariates and the group of the new test, and measurement errors are added. The statistic is the squared
@@ -83,20 +87,22 @@ def predict_tests(
 
         - ``p_value``: between 1/(n + 1) and 1;
         - ``parameter``: the parameter that explains the departure best, of those with a population;
-        - ``or_parameters``: other parameters that the data cannot tell from it, because the best fit with the one
-          makes the data less than 20 times as probable as the best fit with the other;
+        - ``or_parameters``: other parameters that the data cannot distinguish from it, because the best fit with
+          one makes the data less than 20 times as probable as the best fit with the other;
         - ``change``: its relative change from the mean of the population that fits best, NaN if the mean is zero;
         - ``score NAME``: tⱼ, for each parameter with a population;
         - ``draws``: n.
 
-        All but ``p_value`` assume that one parameter departed, and mean nothing for a test from the population.
+        All columns except ``p_value`` and ``draws`` assume that one parameter departed, and mean nothing for a
+        test from the population.
 
     Raises
     ------
     TestsError
         If the new tests do not fit the problem; the error lists every fault.
     ValueError
-        If the problem has no population, its errors are not of frequencies, or the trace is not of the problem.
+        If the problem has no population, its errors are not of frequencies, the trace is not of the problem, or
+        it has fewer than ten draws for each mode of a new test.
     """
     check_trace(trace)
     if parameter_names(trace) != problem.names:
@@ -136,7 +142,10 @@ def require_population(problem: UpdatingProblem) -> None:
 
 
 def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
-    """Return the number of the test of the problem that a new test is like; TestsError if there is none."""
+    """Return the index of the earlier test whose configuration and errors a new test has.
+
+    Raise TestsError if no test fits.
+    """
     found: list[str] = []
     every = problem.tests
     names, groups = [one.name for one in every], list(dict.fromkeys(one.group for one in every))
@@ -194,18 +203,18 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
 
 
 def _times(problem: UpdatingProblem) -> set[str]:
-    """Return the covariates that are the times of values correlated in time."""
+    """Return the names of the covariates that give the times of values correlated in time."""
     return set() if problem.layout.in_time is None else problem.layout.in_time.times
 
 
 def _without_failures(drawn: NextTest) -> NextTest:
-    """Return the draws at which the model has frequencies."""
+    """Return the draws at which the model could be solved."""
     solved = np.isfinite(drawn.measured).all(axis=1)
     return NextTest(*(part[solved] for part in drawn))
 
 
 def _compare(problem: UpdatingProblem, test: Test, like: Test, drawn: NextTest) -> Mapping[str, object]:
-    """Return the row of a new test, given draws of the next test with the modes of the test `like`."""
+    """Return the table row of a new test, given draws of the next test with the modes of the test `like`."""
     columns = [like.data.labels.index(label) for label in test.data.labels]
     y, measured = drawn.measured[:, columns], np.asarray(test.data.frequencies_hz)
     n = len(y)
@@ -257,7 +266,7 @@ class _Departure(NamedTuple):
 
 
 def _departure(scores: FloatArray, j: int, value: FloatArray, y: FloatArray, measured: FloatArray) -> _Departure:
-    """Return t and the relative change of the parameter with the scores in column `j`; see `predict_tests`."""
+    """Return tⱼ and the relative change of the parameter with the scores in column `j`; see `predict_tests`."""
     z = scores - scores.mean(axis=0)
     scale = y.std(axis=0)
     off, r = (y - y.mean(axis=0)) / scale, (measured - y.mean(axis=0)) / scale

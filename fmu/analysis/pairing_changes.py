@@ -147,8 +147,8 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
     Two kinds of change are possible. The *order* of the measured modes may differ from the order before updating.
     This is harmless as long as each mode keeps its shape. Or another *computed mode* may be paired with a measured
-    mode. If modes are paired one to one by MAC and veer, the log-probability then jumps, which gradient-based
-    samplers do not expect; with ``pairing="soft"`` it does not jump (`fmu.posterior.errors.mixture`). If the modes
+    mode. If modes are paired one to one by MAC and veer, the log-probability then jumps. Gradient-based samplers
+    do not allow for jumps; with ``pairing="soft"`` there are none (`fmu.posterior.errors.mixture`). If the modes
     cross without mixing (one symmetric, one antisymmetric), the log-probability stays smooth in any case.
 
     Parameters
@@ -196,7 +196,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
 
 def jump_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a warning if the pairing by MAC, and with it the log-probability, jumps within the posterior."""
+    """Return a list with a warning if the pairing by MAC, and so the log-probability, jumps within the draws."""
     if not has(trace, GROUP) or trace[GROUP].attrs["rule"] != "shape":
         return []
     found = pairing_changes(trace)
@@ -211,12 +211,12 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
-    """Return the trace with the paired computed modes stored in it, if the model of the problem is a structure.
+    """Return the trace with the paired computed modes stored in it; unchanged if the model is not a structure.
 
     The group has ``block`` and ``rank`` (sample, mode), small integers, at about `MOST_DRAWS` draws given by
     ``chain`` and ``draw``; and ``gap``, the relative distance in frequency to the nearest other computed mode. If
-    the pairing is constant by construction, only one draw is stored, without the gap. This costs one solve,
-    otherwise two solves per draw.
+    the pairing is constant by construction, only one draw is stored, without the gap, at the cost of one solve.
+    Otherwise each distinct draw costs two solves.
     """
     import xarray as xr
 

@@ -1,7 +1,8 @@
 """Permutation tests: statistics of a sequence, compared with the same statistics in random orders.
 
-The sequences are scores of tests. Statistics that differ in kind are put on a common scale by the probability that
-they would have for normal values (`improbability`); the random orders then make the test exact for any values.
+The sequences are frequencies, or scores of tests in units of their standard deviation. Statistics that differ in
+kind are put on a common scale by the probability that they would have for normal values (`improbability`). The
+random orders then make the test exact for any distribution of the values.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 
     Every statistic is standardised by its mean and standard deviation over random orders and compared with the
     largest of all statistics in each random order (Westfall & Young 1993, *Resampling-based multiple testing*,
-    section 2.3). The smallest p-value is one over the number of orders.
+    section 2.3). The smallest possible p-value is 1/(1 + n_orders).
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 
 
 def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
-    """Return the probability that the largest of k statistics reaches each of them under random order, shape (k,).
+    """Return the probability that the largest statistic in a random order is at least as large as each one, (k,).
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
 def improbability(r_squared: FloatArray, n: FloatArray, k: int = 1) -> FloatArray:
     """Return −log P(R² ≥ r²) for the squared multiple correlation R² of n normal values with k quantities.
 
-    It puts different statistics on a common scale, whatever the distribution of the values. R² has the beta
+    This puts different statistics on a common scale, whatever the distribution of the values. R² has the beta
     distribution with the parameters k/2 and (n − 1 − k)/2.
     """
     left = np.maximum(0.5 * (n - 1.0 - k), 0.5)
@@ -113,9 +114,9 @@ def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatA
 
 
 def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the share of the variance between groups for each column of centred sequences, (n_orders, m).
+    """Return the share of each centred sequence's variance that lies between groups, shape (n_orders, m).
 
-    The matrix `of_group`, (n, n_groups), is one where a row belongs to a group.
+    The matrix `of_group`, (n, n_groups), is one where a row belongs to a group, and zero elsewhere.
     """
     sums = np.einsum("onm,ng->omg", z, of_group)
     counts = np.einsum("onm,ng->omg", present.astype(float), of_group)
@@ -129,7 +130,10 @@ def slow_waves(n: int) -> FloatArray:
 
 
 def share_along(basis: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the share of the squares of centred sequences along an orthonormal basis (n, k), (n_orders, m)."""
+    """Return the share of the squares of centred sequences in the span of a basis, shape (n_orders, m).
+
+    The columns of `basis`, (n, k), are orthonormal.
+    """
     return np.asarray(np.sum(np.einsum("onm,nk->omk", z, basis) ** 2, axis=2) / np.sum(z**2, axis=1))
 
 
@@ -159,7 +163,9 @@ class Bends:
         self.places, self._line, self._bent, self._known = at[kept], line, bent[:, kept] / size[kept], known
 
     def shares(self, z: FloatArray) -> FloatArray:
-        """Return the share of what a line in x leaves of sequences (…, n, m) that a bend at each place explains.
+        """Return the share of the variance about a straight line in x that a bend at each place explains.
+
+        The sequences `z` have the shape (…, n, m).
 
         Returns
         -------

@@ -224,7 +224,7 @@ PINNED = 0.5
 
 
 def pinned_parameters(trace: xr.DataTree) -> list[str]:
-    """Return the names of parameters with most draws next to a bound, except losses, which physics bounds."""
+    """Return the names of parameters with most draws next to a bound, except losses, whose bounds are physical."""
     return [one.name for one in at_bounds(trace) if one.near > PINNED and not is_loss(trace, one.name)]
 
 
@@ -238,7 +238,7 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the share of the prior near a bound; a uniform prior is assumed if the trace has no prior draws."""
+    """Return the share of the prior near a bound; without prior draws the prior is taken to be uniform."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"].variables[name].to_numpy() - bound) < margin))

@@ -40,7 +40,7 @@ class Repeatability:
     drift : ndarray, shape (n_modes,)
         Change from first to last test along the least-squares line, relative to the mean.
     resembles, drifts : ndarray of bool, shape (n_modes,)
-        Whether the autocorrelation or the trend of each mode is too large for independent tests.
+        Whether the autocorrelation and the trend of each mode are too large for independent tests.
     all_resemble : bool
         Whether the mean autocorrelation over all modes is too large for independent tests.
     """
@@ -67,7 +67,7 @@ class Repeatability:
         return np.asarray(np.maximum(self.n * (1.0 - rho) / (1.0 + rho), 1.0))
 
     def doubts(self) -> list[str]:
-        """Return a list with a sentence for each mode with drift or correlated tests, and a remedy."""
+        """Return a sentence for each mode with drift or correlated tests, and a remedy; empty if there is none."""
         said = [self._of_mode(int(k)) for k in np.flatnonzero(self.resembles | self.drifts)]
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
@@ -159,7 +159,7 @@ def repeatability_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _statistics(z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return r_1 of each mode, their mean, and the correlations with the order, (n_orders, 2 n_modes + 1).
+    """Return r_1 of each mode, the mean r_1, and the correlations with the order, (n_orders, 2 n_modes + 1).
 
     The sequences `z` (n_orders, n_tests, n_modes) are centred, and zero where a test missed a mode.
     """

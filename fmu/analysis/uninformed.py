@@ -1,4 +1,4 @@
-"""Parameters and combinations of parameters that the data leave to the prior or cannot separate."""
+"""Parameters and combinations of parameters that only the prior determines, or that the data cannot separate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fmu.numbers import names_in_words, share, significant
 from fmu.types import FloatArray
 
 _CONFUSED = 0.5
-"""Two parameters are confused if the smaller component of a combination is at least this share of the larger."""
+"""The data confuse two parameters if their least constrained combination has components of this ratio or more."""
 LINEARISED_LEFT = 0.95
 """A direction is uninformed if this share of its prior standard deviation remains in the linearised model."""
 _ALIKE = 0.05
@@ -31,7 +31,7 @@ class Uninformed(NamedTuple):
     words : str
         The parameter ``"k"``, or the combination with the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
-        The combination that the data determine instead, if it has a simple form: ``"k/m"``; else empty.
+        The combination that the data determine instead, if it has a simple form, such as ``"k/m"``; else empty.
     """
 
     direction: FloatArray
@@ -44,7 +44,7 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
     """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
     Parameters on which no measured mode depends come first, one direction each. The other directions are returned
-    in the sparsest basis that elimination finds, since any basis of their span is valid.
+    in the sparsest basis that elimination finds, because any basis of their span is valid.
     """
     most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
     S, n = found.sensitivity, len(found.names)
@@ -117,7 +117,7 @@ class Pair(NamedTuple):
     words: str
 
     def sentence(self, is_separated: bool) -> str:
-        """Return the sentence on whether the data separate the two parameters, with both numbers."""
+        """Return a sentence on whether the data separate the two parameters, with `change` and `remaining_sd`."""
         names = names_in_words(self.names)
         first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"
         left = share(min(self.remaining_sd, 1.0))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CLOSE = 4.0
-"""Smaller differences, in standard errors, are attributed to chance: 1 in 16 000 exceeds this limit."""
+"""Smaller differences, in standard errors, are attributed to chance: 1 in 16 000 exceeds this limit by chance."""
 
 
 class Agreement(NamedTuple):
@@ -56,7 +56,7 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
     traces : mapping of str to xarray.DataTree
         Traces of one posterior, by the names used in the sentence.
     summaries : mapping of str to pandas.DataFrame
-        ``summary(trace)`` of each trace.
+        ``summary(trace)`` of each trace, by the same names.
     """
     sufficient = [name for name, table in summaries.items() if _suffices(traces[name], table)]
     left_out = tuple(name for name in traces if name not in sufficient)
@@ -83,7 +83,7 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
 
 
 def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
-    """Return True if a run meets the criterion."""
+    """Return True if R-hat and the effective sample sizes of a run meet the criterion."""
     return meets_criterion(
         float(np.max(table["rhat"].to_numpy())), fewest(table), trace["posterior"].sizes["chain"]
     )

@@ -1,4 +1,7 @@
-"""Whether a run had enough candidates of its mixture to visit every component."""
+"""Whether a run had enough candidates of its mixture to visit every component.
+
+A candidate is a point that is drawn from the mixture and proposed to a chain.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 
 
 TIMES = 20
-"""Expected number of candidates required of each component: the number then scatters by about a quarter."""
+"""Expected number of candidates required of each component; the actual number scatters by about a quarter."""
 _IN_DOUBT = 0.1
 """Warm-up may underestimate the share of a component by this factor."""
 
@@ -28,7 +31,7 @@ class Candidates(NamedTuple):
     Attributes
     ----------
     drawn, needed : int
-        Number of candidates, and number that is needed.
+        Number of candidates drawn, and number needed.
     share : float
         The smallest weight of a component that is not negligible.
     """
@@ -41,9 +44,9 @@ class Candidates(NamedTuple):
 def candidates_of(trace: xr.DataTree) -> Candidates | None:
     """Return the number of candidates that a run had and the number that it needs; None if it had none.
 
-    Chains visit a separated maximum by candidates of its component, and the weight of the component gives their
-    expected number. If this number is small, all chains may have missed a maximum that was found in the warm-up,
-    and neither R-hat nor effective sample sizes show it. `TIMES` candidates are needed of each component. The
+    Chains visit a separate maximum through candidates of its component, and the weight of the component gives
+    their expected number. If this number is small, all chains may have missed a maximum that was found in the
+    warm-up, and neither R-hat nor effective sample sizes show it. Every component needs `TIMES` candidates. The
     warm-up may have underestimated a weight: a weight below 1 % counts as 1 %. Components with a weight below 0.1
     % are ignored.
 
@@ -79,6 +82,6 @@ def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
 
 
 def growth_for_candidates(trace: xr.DataTree) -> float:
-    """Return the factor by which the draws must grow for enough candidates; at most 1 if there are enough."""
+    """Return the factor by which the draws must grow to give enough candidates; at most 1 if there are enough."""
     found = candidates_of(trace)
     return 0.0 if found is None else found.needed / found.drawn

@@ -90,7 +90,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
 
 class Judged(NamedTuple):
-    """Several runs on one posterior: ``summary(trace)`` and verdict of each run, and the table of `compare`."""
+    """The summary and the verdict of each of several runs on one posterior, and the table of `compare`."""
 
     summaries: Mapping[str, pd.DataFrame]
     verdicts: dict[str, Diagnosis]
@@ -102,7 +102,7 @@ def compare_runs(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> Judged:
-    """Return the summaries, the verdicts and the comparison of several runs; arguments as in `diagnose_all`."""
+    """Return the summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
@@ -155,8 +155,8 @@ def costs_side_by_side(
     pandas.DataFrame
         One row per trace:
 
-        - ``search_solves``: solves of the search for maxima, which all samplers share and each is charged with;
-          zero if unknown;
+        - ``search_solves``: solves of the search for maxima, which all samplers share and which count in the cost
+          of each; zero if unknown;
         - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01 and bulk
           and tail ESS were at least 400; NaN if this was never reached;
         - ``total_solves``: search, warm-up and all draws;
@@ -185,7 +185,7 @@ def costs_side_by_side(
 
 
 def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
-    """Return the costs as rows of text, one column per sampler; costs that no sampler has are skipped."""
+    """Return the costs as rows of text, one column per sampler; rows that are NaN for all samplers are skipped."""
     rows = []
     for column, label in _ROWS.items():
         values = list(map(float, costs[column]))
@@ -196,7 +196,10 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 
 
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
-    """Return sentences on when each ensemble met the criterion and passed its further tests; else empty."""
+    """Return sentences on the cost at which each ensemble met the criterion and passed its further tests.
+
+    The text is empty if no sampler is an ensemble sampler.
+    """
     said = []
     for name, trace in traces.items():
         if walkers_of(trace) == 1:
@@ -212,19 +215,22 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
 
 
 def over_baseline(ratio: float) -> str:
-    """Return a ratio of costs with two digits as text; a dash if it is unknown."""
+    """Return a ratio of costs as text, such as ``"0.85 ×"``; a dash if it is unknown."""
     return MISSING if np.isnan(ratio) else f"{fixed(ratio, 2) if ratio < 10 else significant(ratio, 2)} ×"
 
 
 def about_solves(solves: float) -> str:
-    """Return a number of solves with three digits as text; ``"not met"`` if it is NaN."""
+    """Return a number of solves as text, rounded to three digits; ``"not met"`` if it is NaN."""
     if np.isnan(solves):
         return "not met"
     return whole(round(solves, 2 - int(np.log10(solves)))) if solves >= 100 else significant(solves)
 
 
 def _search(traces: Mapping[str, xr.DataTree]) -> float:
-    """Return the solves of the search for maxima, with gradients at the cost measured in one of the runs."""
+    """Return the cost of the search for maxima in solves, zero if none is stored.
+
+    Gradients count at the cost measured in one of the runs.
+    """
     known = next((m for m in map(maxima_of, traces.values()) if m is not None), None)
     if known is None:
         return 0.0

@@ -207,7 +207,7 @@ def diagnose(
 
 
 def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
-    """Return the list of the maxima stored in a trace and in other traces."""
+    """Return the results of the searches for maxima that are stored in a trace and in other traces."""
     return [maxima for maxima in map(maxima_of, (trace, *others.values())) if maxima is not None]
 
 
@@ -293,7 +293,7 @@ def diagnose_all(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Diagnosis]:
-    """Return a dict of the verdicts on several runs, each also compared with the other runs on its posterior.
+    """Return the verdicts on several runs by name; each run is also compared with the others on its posterior.
 
     Parameters
     ----------
@@ -312,7 +312,10 @@ def diagnose_all(
 
 
 def _search(problem: LogDensity | None) -> list[Maxima]:
-    """Return the maxima of a problem, as a list; empty for a population, whose maximum is far from its mass."""
+    """Search for the maxima of a problem and return them in a list.
+
+    The list is empty without a problem, and for a population, whose maximum is far from its probability mass.
+    """
     return [search.find_map(problem)] if problem is not None and search.is_searchable(problem) else []
 
 
@@ -320,8 +323,8 @@ def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.Dat
     """Return the name of the representative run: a converged one if possible, with the most effective draws.
 
     This run gives the verdict on the model, the losses and the exported values wherever no sampler is named. The
-    order of the runs does not matter: the worst parameter determines the effective draws, and ties are resolved
-    alphabetically.
+    number of effective draws is that of the worst parameter. Ties are resolved alphabetically, so that the order
+    of the runs does not matter.
 
     Parameters
     ----------
@@ -350,7 +353,8 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
     trace : xarray.DataTree
     until_ess : float
         Bulk and tail ESS required of every parameter, in addition to convergence.
-    maxima : Maxima, optional
+    maxima : Maxima or None
+        Known maxima of the posterior; None without a search.
     """
     draws = int(trace.attrs["draws"])
     if is_beyond_draws(trace):

@@ -103,9 +103,9 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
 
 
 def summary_for_verdict(trace: xr.DataTree) -> pd.DataFrame:
-    """Return ``summary(trace)`` with R-hat alone for the scores of single tests, which may be many.
+    """Return ``summary(trace)`` as far as the verdict needs it.
 
-    The verdict needs no other column of these.
+    For the scores of single tests, which may be many, only R-hat is computed; their other columns are NaN.
     """
     walkers, names, scores = walkers_of(trace), parameter_names(trace), score_names(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -120,7 +120,7 @@ def summary_for_verdict(trace: xr.DataTree) -> pd.DataFrame:
 
 
 def _row(x: FloatArray, walkers: int, ci_prob: float) -> dict[str, float]:
-    """Return the row of `summary` of a parameter with the draws x, (chains, draws)."""
+    """Return the row of `summary` for a parameter with the draws x, (chains, draws)."""
     lower, upper = interval_columns(ci_prob)
     of_ends = (1 - ci_prob) / 2, (1 + ci_prob) / 2
     ends = np.quantile(x, of_ends)
@@ -149,13 +149,13 @@ def interval_columns(ci_prob: float) -> tuple[str, str]:
 def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
     """Return R-hat over the walkers of an ensemble, for the worst ensemble, shape (ndim,).
 
-    This R-hat finds walkers that stay in separate regions. R-hat over ensembles does not, if all ensembles are
+    This R-hat reveals walkers that stay in separate regions. R-hat over ensembles does not, if all ensembles are
     divided in the same way. If the walkers mix, it depends only on the length of the run: R-hat² − 1 is about 2.7
     autocorrelation times over the number of steps (4 ensembles of 32 walkers, stretch moves, Gaussian and bounded
     targets of 2 and 5 parameters: on average 2.4 to 3.0, after 3 to 100 autocorrelation times). It is then 1.07
-    after 20 autocorrelation times, 1.03 after 50 (at most 1.03 in 50 such runs), and below 1.01, the limit for
-    independent chains, only after 130. Each ensemble is judged separately, because a single trapped walker among
-    all walkers of a run would have too little weight.
+    after 20 autocorrelation times and 1.03 after 50 (at most 1.03 in 50 such runs). It falls below 1.01, the limit
+    for independent chains, only after 130. Each ensemble is judged separately, because a single trapped walker
+    would have too little weight among all walkers of a run.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -163,7 +163,7 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 
 
 def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArray:
-    """Return the length of the first `part` of a run in its longest autocorrelation times, shape (ndim,).
+    """Return the length of the first `part` of a run in autocorrelation times, shape (ndim,).
 
     For each parameter, the slowest ensemble determines the autocorrelation time.
     """
@@ -179,9 +179,9 @@ def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
     """Return True if walkers stay in separate regions, so that more steps would not help.
 
     If walkers mix, a run has twice as many autocorrelation times as its first half (1.1 to 2.5 times as many in
-    140 runs of at least 3). If walkers stay apart, this counts as correlation over the whole run, which then has
-    as many of its own autocorrelation times as its first half, however long it is. In shorter runs the two cases
-    cannot be distinguished.
+    140 runs of at least 3). If walkers stay apart, the autocorrelation time grows with the run, which then has as
+    many autocorrelation times as its first half, however long it is. In shorter runs the two cases cannot be
+    distinguished.
 
     Parameters
     ----------
@@ -378,7 +378,7 @@ def is_beyond_draws(trace: xr.DataTree) -> bool:
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a sentence on the worst of `values`, unless all are below `limit`."""
+    """Return a list with a sentence on the largest of `values`; empty if all are below `limit`."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -386,7 +386,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a sentence on the worst of `values`, unless all are at least `limit`."""
+    """Return a list with a sentence on the smallest of `values`; empty if all are at least `limit`."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))

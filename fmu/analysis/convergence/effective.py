@@ -89,7 +89,7 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s.
 
-    The smaller effective sample size of the squares and of the tails is used, because slow mixing in a
+    The effective sample size is the smaller of those of the squares and of the tails, because slow mixing in a
     seldom visited tail shows earlier in the tail.
     """
     if _is_degenerate(x):
@@ -148,7 +148,7 @@ def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
 
 
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:
-    """Return an array (ensembles, steps * walkers, ...), step-major, as (ensembles, walkers, steps, ...)."""
+    """Reshape (ensembles, steps * walkers, ...), step-major, to (ensembles, walkers, steps, ...)."""
     return x.reshape(len(x), x.shape[1] // walkers, walkers, *x.shape[2:]).swapaxes(1, 2)
 
 
@@ -186,7 +186,7 @@ def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the step of a thinning that leaves at most `most` draws and treats all walkers alike."""
+    """Return the step by which to thin to at most `most` draws, taking equally many draws of every walker."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -353,7 +353,7 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
     ----------
     trace : xarray.DataTree
     at : ndarray of int, shape (n,), optional
-        Numbers of steps; `lengths` of the run if not given.
+        Numbers of steps. Defaults to the `lengths` of the run.
 
     Returns
     -------

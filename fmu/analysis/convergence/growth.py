@@ -53,7 +53,7 @@ def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
     ----------
     trace : xarray.DataTree
     at : ndarray of int, optional
-        Numbers of draws per chain; `lengths` of the run if not given.
+        Numbers of draws per chain. Defaults to the `lengths` of the run.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -78,7 +78,7 @@ def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
 
 
 def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatArray:
-    """Return a count of each step, summed over chains and walkers, shape (steps,)."""
+    """Return a stored count at each step, summed over chains and walkers, shape (steps,); empty if not stored."""
     if not has(trace, group, name):
         return np.zeros(0)
     counts = array_of(trace, group, name)
@@ -86,7 +86,7 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 
 
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
-    """Return the solves, warm-up included, after which the draws first met the criterion; NaN if never.
+    """Return the solves, warm-up included, after which the draws first met the criterion; NaN if they never did.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Return a clause on the weights of a mixture's candidates if their Pareto k is too large, else ""."""
+    """Return a clause on the weights of a mixture's candidates if their Pareto k is too large; else empty."""
     if k <= GOOD_K:
         return ""
     return (
@@ -80,7 +80,10 @@ def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatA
 
 
 def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
-    """Return the tail of weights whose largest is 1; ValueError for fewer than five weights or equal weights."""
+    """Return the tail of a set of log-weights whose maximum is 0.
+
+    Raise ValueError if the tail has fewer than five weights or all its weights are equal.
+    """
     n = len(log_w)
     size = int(3.0 * (n / efficiency) ** 0.5 if n * efficiency > 225 else n / 5)
     if size < _FEWEST:
@@ -95,10 +98,11 @@ def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
 
 
 def _generalised_pareto(x: FloatArray) -> tuple[float, float]:
-    """Return shape k and scale of the distribution of `x` (n,), ascending; NaN if it is far from Pareto.
+    """Return the shape k and the scale of a generalised Pareto distribution fitted to `x` (n,), ascending.
 
     The estimate is the posterior mean of b = −k/scale under the prior of Zhang & Stephens, on a grid. The shape k
-    is shrunk towards 0.5 as by ten further draws.
+    is shrunk towards 0.5 as if by ten more draws. Both values are NaN if the smallest quarter of x is constant;
+    k is infinite and the scale NaN if the estimate is undefined.
     """
     n = len(x)
     quartile = x[int((n / 4 + 0.5) - 1)]

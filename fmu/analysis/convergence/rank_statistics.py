@@ -59,7 +59,7 @@ def quantile_ess(x: FloatArray, probability: float) -> float:
 
 
 def chain_ess(draws: FloatArray) -> float:
-    """Return the ESS of the mean of chains that are not split or ranked (section 3.2): n over the time τ.
+    """Return the ESS of the mean of chains that are not split or ranked (section 3.2): n/τ.
 
     Here n is the number of all draws, and the autocorrelation time τ = −1 + 2 Σ ρ_t is estimated over all chains
     by Geyer's initial monotone sequence: the sums ρ_2k + ρ_2k+1 are used up to the first that is not positive, and

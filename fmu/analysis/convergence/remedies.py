@@ -33,7 +33,7 @@ Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0
 """A smaller effective sample size is too uncertain for a prediction: its error is a third or more."""
 RELIABLE_TIMES = 3.0
-"""A run of fewer autocorrelation times underestimates the time: a run of one time by a half."""
+"""A run shorter than this many autocorrelation times underestimates the time, by a half if it is one time long."""
 _MOST = 2.0
 _NEAR, _SLACK, _LEAST, _FIRST_PART = 1.1, 1.01, 1.02, 0.8
 _LEAST_FOR_RHAT, _MOST_FOR_RHAT = 1.05, 1.15
@@ -49,8 +49,8 @@ def required_ess(chains: int) -> int:
 def without_scores(table: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of a summary that decide on convergence: all but the scores of single tests.
 
-    The scores are many, and the worst of many is worse. Their information is contained in the mean and the
-    standard deviation of the population, and in the parameters of the structure in each test.
+    The scores are many, and the worst of many is bound to be worse. Their information is contained in the mean
+    and the standard deviation of the population, and in the parameters of the structure in each test.
     """
     return table[~_is_score(table)]
 
@@ -60,7 +60,7 @@ def _is_score(table: pd.DataFrame) -> BoolArray:
 
 
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
-    """Return the factor by which the draws must grow until effective sample sizes and errors suffice.
+    """Return the factor by which the number of draws must grow until effective sample sizes and errors suffice.
 
     An effective sample size grows, and a squared standard error falls, in proportion to the number of draws.
 
@@ -88,12 +88,12 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS in a summary, rows of scores excluded; NaN if one of them is NaN."""
+    """Return the smallest bulk or tail ESS in a summary, scores of tests excluded; NaN if one of them is NaN."""
     return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return the largest ratio of R-hat − 1 to its limit; this ratio falls as the draws grow."""
+    """Return the largest ratio of R-hat − 1 to its limit; the ratio falls as the run grows longer."""
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
@@ -101,10 +101,9 @@ def rhat_excess(table: pd.DataFrame) -> float:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return the number of steps to draw before an insufficient run is judged again.
 
-    This is four fifths of the steps that `growth` requires, and near the end all of them plus 1 %. It is at most
-    the number of steps of the run, because the effective sample size is then known better. If only R-hat is too
-    high, the run grows by 5 to 15 %, because R-hat scatters too much for a prediction. In all other cases the run
-    is doubled.
+    This is 80 % of the steps that `growth` still requires or, if it requires few, all of them plus 1 %. The run is
+    at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run grows by 5
+    to 15 %, because R-hat scatters too much for a prediction. In all other cases the run is doubled.
 
     Parameters
     ----------
@@ -176,9 +175,9 @@ def for_too_few_draws(
     are_apart: bool = False,
     places: Places = "unknown",
 ) -> str:
-    """Return the clause on the number of draws that a run needs, or on how to make chains agree.
+    """Return a clause on the number of draws that a run needs, or on how to make its chains agree.
 
-    The result is empty if R-hat or an effective sample size is undefined.
+    The clause is empty for a single chain, or if R-hat or an effective sample size is undefined.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""By how much a model is wrong, where its parameters may scatter over the modes; and where that is a remedy."""
+"""The inferred error of a model whose parameters may scatter over the modes, and when to allow for scatter."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on what would allow for the misfit and on its effect; empty if nothing is known to."""
+    """Return sentences on how to allow for the misfit, and on the effect of this; empty if no remedy is known."""
     responses = problem_of(trace).get("likelihood", {}).get("responses")
     if responses:
         return "" if "discrepancy" in responses[0] else REMEDY_OF_FRFS
@@ -73,7 +73,7 @@ def _may_have_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a sentence on each size of the errors of the modes themselves."""
+    """Return a sentence on each size of the errors of the modes themselves, of frequencies and of shapes."""
     found = []
     for key, what in (("sd", "relative error of the frequencies"), ("shape_sd", "error of the shapes")):
         if key not in settings:

@@ -1,16 +1,18 @@
 """Possible causes of differences between tests that a model does not include: order, covariates and groups.
 
-A permutation test compares the scores of the tests with the same scores in random orders
+The score of a test is the distance of a parameter's value in this test from the value that the model expects, in
+standard deviations. A permutation test compares the scores of the tests with the same scores in random orders
 (`fmu.analysis.permutation`). The statistics are, for each parameter:
 
-- the correlation with the order of the tests, the share of two slow waves, and the lag-1 autocorrelation;
-- the correlation with each covariate on which the model does not let the parameter depend;
-- for each covariate the largest share of what a line leaves that a bend explains, over the places of the bend. It
-  shows a law that is not a line, even if the model has a slope with the covariate;
+- the correlation with the order of the tests, the share of the variance in two slow waves, and the lag-1
+  autocorrelation;
+- the correlation with each covariate on which the parameter does not depend in the model;
+- for each covariate, the largest share of the variance about a straight line that a bend explains, over all places
+  of the bend. It reveals a law that is not linear, even if the model has a slope with the covariate;
 - the share of the variance between groups.
 
-All of them have a common level, and the search for the place of a bend is part of the test. With five tests or
-fewer nothing can be significant.
+All statistics share one significance level, and the search for the place of a bend is part of the test. With five
+tests or fewer nothing can be significant.
 """
 
 from __future__ import annotations
@@ -39,9 +41,11 @@ from fmu.types import BoolArray, FloatArray
 
 ORDER, GROUPS = "the order of the tests", "the groups"
 _SEARCHED = np.log(6.0)
-"""Logarithm of the number of independent places of a bend, about, which puts the best one on the common scale."""
+"""Logarithm of the approximate number of independent places of a bend.
+
+It is subtracted to put the best place on the common scale."""
 _HARDLY = 0.2
-"""A change beside a bend is small below this share of the change on its other side."""
+"""The change on one side of a bend is called small below this share of the change on the other side."""
 
 
 class Cause(NamedTuple):
@@ -52,14 +56,15 @@ class Cause(NamedTuple):
     of : str
         `ORDER`, `GROUPS` or the name of a covariate.
     statistic : Statistics
+        Function that computes the statistic of sequences of scores.
     improbability : callable
         Function from the statistic and the number of tests to −log of its probability for normal values.
     words : callable
-        Function from the index of a parameter and its statistic to the effect in words.
+        Function from the index of a parameter and its statistic to a description of the effect.
     free : ndarray of bool, shape (n_parameters,)
         Whether the model does not include this cause for each parameter.
     covers : bool
-        Whether the words of this cause cover the other causes with the same `of`.
+        Whether the description also covers the other causes with the same `of`.
     """
 
     of: str
@@ -88,7 +93,10 @@ class Effects(NamedTuple):
     sizes: FloatArray
 
     def in_words(self, k: int, limit: float) -> list[str]:
-        """Return the effects on parameter `k` with p below `limit`, the least probable first, one of a kind."""
+        """Return descriptions of the effects on parameter `k` with p below `limit`, the least probable first.
+
+        Of several effects with the same `Cause.of`, only one is described.
+        """
         best: dict[str, int] = {}
         for j in np.argsort(-self.sizes[k], kind="stable").tolist():
             cause = self.causes[j]
@@ -99,7 +107,7 @@ class Effects(NamedTuple):
         return [self.causes[j].words(k, float(self.values[k, j])) for j in best.values()]
 
     def strongest_in_words(self, k: int) -> str:
-        """Return the least probable effect on parameter `k` in words."""
+        """Return a description of the least probable effect on parameter `k`."""
         j = int(np.argmax(self.sizes[k]))
         return self.causes[j].words(k, float(self.values[k, j]))
 
@@ -178,7 +186,7 @@ def _of_order(z: FloatArray, tests: Sequence[str]) -> list[Cause]:
 
 
 def _of_covariate(z: FloatArray, name: str, x: FloatArray, free: BoolArray) -> list[Cause]:
-    """Return the causes that concern a covariate x (n_tests,); `free` where the model has no slope with it."""
+    """Return the causes that concern a covariate x (n_tests,); `free` is True if the model has no slope with x."""
     known = np.where(np.isnan(x), np.nanmean(x), x)
     line = Cause(
         name,
@@ -206,7 +214,7 @@ def _linear(cause: str, r: float) -> str:
 
 
 def _bent(name: str, x: FloatArray, z: FloatArray, place: float, free: bool) -> str:
-    """Return a bent dependence of the scores z on a covariate x in words, with the place of the bend."""
+    """Return a description of a bent dependence of the scores z on a covariate x, with the place of the bend."""
     known = ~np.isnan(x)
     columns = np.stack(
         [np.ones(known.sum()), np.minimum(x[known] - place, 0.0), np.maximum(x[known] - place, 0.0)]

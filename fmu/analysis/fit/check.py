@@ -1,4 +1,4 @@
-"""A check of a model against data: its result, the limit at which it fails, and the errors it would have shown."""
+"""A check of a model against data: its result, the limit at which it fails, and the errors it could reveal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from fmu.numbers import change, significant
 
 LEVEL, WITH_POPULATIONS, OF_POPULATIONS = 0.01, 0.02, 0.015
-"""Largest probabilities that a correct model fails any of the checks: `LEVEL` without a population, and
+"""Largest probability that a correct model fails any of the checks: `LEVEL` without a population,
 `WITH_POPULATIONS` with one. Of the latter, `OF_POPULATIONS` is for the checks of `fmu.analysis.fit.populations`,
 which compare many tests in many ways."""
 PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, RESPONSES = (
@@ -29,18 +29,18 @@ class Check:
         `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE`, `QUANTITY`, `POPULATION`, `LAW` or
         `RESPONSES`.
     of : str
-        What is checked.
+        The quantity that is checked.
     found, limit : str
         The value of the statistic, and the limit beyond which the check fails.
     p : float
         Probability of such a value under a correct model; NaN for shapes.
     failed : bool
     shows : str
-        The errors that the check would have shown; empty if it could show none.
+        The errors that the check would have revealed; empty if it could reveal none.
     sentence : str
         The evidence of this check against the model, in one sentence.
     why_not : str
-        Why the check could not have shown any error; else empty.
+        Why the check could not have revealed any error; else empty.
     below, above : float
         Relative errors of a frequency, measured over predicted minus one, beyond which the check fails; else NaN.
     dependence : str
@@ -72,7 +72,7 @@ def level_of(checks: Sequence[Check]) -> float:
 
 
 def beyond(below: float, above: float) -> str:
-    """Return ``"below -8.2 % or above +9.6 %"``; without the lower limit if it is -100 % or less."""
+    """Return ``"below -8.2 % or above +9.6 %"``; the lower limit is omitted if it is -100 % or less."""
     upper = f"above {change(above)}"
     return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
@@ -85,7 +85,7 @@ def probability(p: float) -> str:
 def failed_checks(checks: Sequence[Check]) -> list[Check]:
     """Return the list of the checks that failed.
 
-    Checks that name a cause come first, then the others in ascending order of probability; shapes come last.
+    Checks that name a cause come first, followed by the others in order of probability; shapes come last.
     """
     failed = [check for check in checks if check.failed]
     return sorted(failed, key=lambda check: (not check.dependence, np.nan_to_num(check.p, nan=1.0)))

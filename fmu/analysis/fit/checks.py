@@ -3,9 +3,9 @@
 Under a correct model, the parameters are draws from their priors and the errors are draws from the error model.
 Each kind of check that applies to a run gets an equal share of the level `LEVEL`, and the checks of one kind
 divide this share equally (Bonferroni). A correct model therefore fails at least one check with a probability of at
-most `LEVEL`, however the checks depend on each other. With a population the level is `WITH_POPULATIONS`, of which
-the checks of the laws over the tests get `OF_POPULATIONS`, and the other kinds equal shares of the rest. The kinds
-of check are:
+most `LEVEL`, however the checks depend on each other. With a population the level is `WITH_POPULATIONS`. The
+checks of the laws over the tests then get `OF_POPULATIONS`, and the other kinds equal shares of the rest. The
+kinds of check are:
 
 - A mode predicted from the other modes, and a mode that was held out. The statistic is the tail probability of the
   measured frequency in the predictive distribution that was computed without this mode, noise included. Under a
@@ -81,7 +81,7 @@ if TYPE_CHECKING:
 
 
 _FEW = 500
-"""Number of draws that suffices to find how much larger the residuals must be to fail."""
+"""Number of draws that suffices to find the factor on the residuals at which a check fails."""
 _MOST = 10.0
 """If residuals fail only beyond this factor, they do not test a model without degrees of freedom left."""
 NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
@@ -110,7 +110,10 @@ def _has_laws(trace: xr.DataTree) -> bool:
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
-    """Return the kinds of check that apply to a run but for laws over the tests, each a function of its level."""
+    """Return the kinds of check that apply to a run, each as a function of its level.
+
+    Checks of the laws over the tests are not included.
+    """
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
         return kinds
@@ -133,7 +136,7 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
 
 
 def _levels(trace: xr.DataTree) -> tuple[float, float]:
-    """Return the level of each kind of check but laws over the tests, and the level of these."""
+    """Return the level of each kind of check in `_kinds`, and the level of the checks of laws over the tests."""
     n = len(_kinds(trace))
     if has(trace, POPULATIONS, "score"):
         return (WITH_POPULATIONS - OF_POPULATIONS) / max(n, 1), OF_POPULATIONS
@@ -144,7 +147,7 @@ def _levels(trace: xr.DataTree) -> tuple[float, float]:
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
     """Return the table of the predictions of each mode without that mode, one row per mode.
 
-    Unknown predictions are NaN. Return None if the run has no frequencies, or they are no data.
+    Unknown predictions are NaN. Return None if the run has no frequencies, or if they are not data.
     """
     if not has(trace, "posterior_predictive", "frequency") or not modes_are_data(trace):
         return None
@@ -157,7 +160,7 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Return a list with one check per mode; modes without such a prediction are checked by their residuals."""
+    """Return a list with one check per mode; modes that were not predicted are checked by their residuals."""
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
@@ -198,10 +201,10 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
 def _limits(row: pd.Series, level: float) -> tuple[float, float]:
     """Return the lower and the upper frequency, Hz, whose two-sided tail probability is `level`.
 
-    Each tail is given the shape of the error distribution, scaled to the end of the 90 % interval on its side.
-    This is exact if the predictive distribution has the shape of the error distribution. If the measured frequency
-    lies outside the interval, the tail on its side also passes through the known tail probability of the measured
-    frequency, so that a mode lies beyond its limit if its probability is below the level.
+    Each tail is assumed to have the shape of the error distribution, scaled to the end of the 90 % interval on its
+    side. This is exact if the predictive distribution has the shape of the error distribution. If the measured
+    frequency lies outside the interval, the tail on its side also passes through the known tail probability of the
+    measured frequency. A mode is then beyond its limit whenever its probability is below the level.
     """
     freedom = min(float(row["freedom"]), _GAUSSIAN)
     end, wanted, here = (-float(stdtrit(freedom, 0.5 * p)) for p in (0.1, level, max(float(row["p"]), _TINY)))
@@ -289,10 +292,10 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Return the reason why residuals that could be `larger` times as large test nothing; else an empty string.
+    """Return the reason why the check of residuals tests nothing; empty if it does test the model.
 
-    With a degree of freedom left, the parameters cannot fit arbitrary errors, even if they fit the present errors
-    well.
+    The check would fail only for residuals `larger` times as large. With a degree of freedom left it still tests
+    the model, because the parameters cannot fit arbitrary errors, even if they fit the present errors well.
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > effective_parameters(trace):
         return ""
@@ -300,7 +303,7 @@ def _follows(trace: xr.DataTree, larger: float) -> str:
 
 
 def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
-    """Return the factor on all residuals at which the mean tail probability of Σ r² is `limit`."""
+    """Return the factor on all residuals at which the mean tail probability of Σ r² falls to `limit`."""
     few = squares[:: -(-len(squares) // _FEW)]
     low, high = -12.0, 12.0  # bounds of the natural logarithm of the factor
     for _ in range(40):
@@ -357,7 +360,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return the reason that noise was free to grow, if it may hide a misfit; else an empty string."""
+    """Return the reason that the noise was free to grow, if it may hide a misfit; else an empty string."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE

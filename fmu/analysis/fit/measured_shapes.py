@@ -1,4 +1,4 @@
-"""Measured and computed shapes after a run: MAC of each mode, and the sensors that disagree."""
+"""Measured and computed mode shapes after a run: the MAC of each mode, and the sensors that disagree."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 MOST_TESTS = 5
-"""Tests whose sensors are named."""
+"""Largest number of tests whose sensors are named."""
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
@@ -90,9 +90,9 @@ def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
 
 
 def sensor_warnings(trace: xr.DataTree) -> list[str]:
-    """Return the warnings about the sensors of several tests at the posterior mean, of a few tests at most.
+    """Return warnings about the sensors of several tests at the posterior mean, for at most `MOST_TESTS` tests.
 
-    The page of a single test names its sensors in a section of its own.
+    The sensors of a single test are described in a section of its report.
     """
     found = {name: one.doubts_of_sensors() for name, one in correlations_of(trace, MEAN).items() if name}
     concerned = [name for name, doubts in found.items() if doubts]

@@ -1,4 +1,4 @@
-"""The verdict on the model: contradicted by the data, not contradicted, or not testable with them."""
+"""The verdict on the model: contradicted by the data, not contradicted, or not testable with the data."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class ModelFit:
     left_out : str
         Measured quantities that no check covers, because their residuals have no known distribution; else empty.
     scatter : tuple of str
-        By how much the model is wrong, one sentence for each scatter of parameters over the modes; else empty.
+        The size of the error of the model, one sentence for each scatter of parameters over the modes; else empty.
     remedy : str
-        What allows for a model that is contradicted; empty if nothing more does.
+        How to allow for the error of a contradicted model; empty if no further remedy is known.
     """
 
     checks: tuple[Check, ...]
@@ -72,11 +72,12 @@ class ModelFit:
     def verdict(self) -> str:
         """`UNKNOWN`, `CONTRADICTED`, `NOT_TESTABLE`, `NOT_CONTRADICTED` or, with a discrepancy, `ALLOWED`.
 
-        The verdict is `CONTRADICTED` if a check failed, and `UNKNOWN` if there are no checks. If the data do not
-        outnumber the parameters, the model can fit any data that its priors allow, so that a good fit is no
-        evidence for the model; only a held-out mode or a population then tests it. The verdict is `NOT_TESTABLE`
-        if nothing tests the model, or if none of the checks could have failed; else it is `NOT_CONTRADICTED`. A
-        model that does not fit is contradicted, however many parameters it has.
+        The verdict is `CONTRADICTED` if a check failed, however many parameters the model has, and `UNKNOWN` if
+        there are no checks. If the data do not outnumber the parameters, the model can fit any data that its
+        priors allow, so that a good fit is no evidence for it. Only a held-out mode, a population or a law over
+        the tests then tests it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the checks
+        could have failed. Else it is `ALLOWED` if the parameters may scatter over the modes, and
+        `NOT_CONTRADICTED` if not.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
@@ -110,12 +111,12 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """The sentences of the failed checks: first those that name a cause, then the least probable."""
+        """The sentences of the failed checks: first those that name a cause, then the least probable ones."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
     def said(self) -> tuple[str, ...]:
-        """The sentences of the failed checks, and how a wrong model is, or could be, allowed for."""
+        """The sentences of the failed checks, followed by how the model's error is, or could be, allowed for."""
         return (*self.against, *self._allowed)
 
     @property
@@ -154,7 +155,7 @@ class ModelFit:
 
     @property
     def _allowed(self) -> tuple[str, ...]:
-        """Sentences on the scatter that the errors of the model are given, or on what would allow for them."""
+        """Sentences on the scatter by which the error of the model is allowed for, or on how to allow for it."""
         if self.verdict == CONTRADICTED and self.remedy:
             return (f"{self.remedy}.",)
         return tuple(f"{sentence}." for sentence in self.scatter)

@@ -5,11 +5,11 @@ deviations. If the model is correct, the scores are independent standard normal 
 tests, their groups and their covariates. The posterior mean m of a score then has the variance 1 − s², where s is
 the posterior standard deviation of the score. The checks use m/√(1 − s²). Where values are correlated in time,
 they use the innovations at one posterior draw, which are standard normal and independent if the model is correct;
-their posterior means would not be independent. A parameter that does not scatter has scores from the residuals
-(`fmu.analysis.fit.residual_scores`). The checks are
+the posterior means of the innovations would not be independent. A parameter that does not scatter has scores from
+the residuals (`fmu.analysis.fit.residual_scores`). The checks are
 
 - permutation tests of the causes in `fmu.analysis.fit.causes`;
-- for a population a test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58;
+- for a population, a test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58;
   Bonferroni's bound).
 """
 
@@ -43,7 +43,7 @@ _INFORMED = 0.05
 _FEWEST = 6
 _OUTLIER = 0.5
 _TO_CAUSES = 0.6
-"""Share of the level for the causes; the rest is for the farthest test."""
+"""Share of the level for the causes; the rest is for the test farthest from the mean."""
 _POPULATION = (
     "population of",
     "the tests are not independent draws from one distribution",
@@ -54,7 +54,7 @@ _LAW = (
     "the tests contradict its law in the model",
     "values that depend on order, group or covariate otherwise than in the model",
 )
-"""What is checked, what contradicts the model, and which errors the check would have shown."""
+"""What is checked, the evidence against the model, and the errors that the check would have revealed."""
 _FEW_TESTS = f"fewer than {_FEWEST} tests tell their values, so that no order of them is improbable"
 
 
@@ -65,14 +65,18 @@ def population_group(
 
     Where a population is correlated in time, ``innovation`` has its innovations at the last draw
     (`fmu.posterior.joint.varies.autocorrelation`). Where tests may be outliers, ``outlier`` is the probability
-    that a test is one, and ``outlier_of`` that its score in a population is that of an outlier.
+    that a test is an outlier, and ``outlier_of`` the probability that its score in a population is.
 
     Parameters
     ----------
     problem : UpdatingProblem
         A problem with a population.
     theta : ndarray, shape (n, n_structural)
-        Posterior draws; `shape` is (chains, draws), and `coordinates` has the coordinates of both.
+        Posterior draws.
+    shape : tuple of int
+        Numbers of chains and of draws per chain.
+    coordinates : dict
+        Coordinates of the chains and draws.
     """
     import xarray as xr
 
@@ -103,12 +107,12 @@ def population_group(
 
 
 def _scores_of(one: Drawn, theta: FloatArray) -> FloatArray:
-    """Return the standard normal scores of the tests that have one, (n, n_scored)."""
+    """Return the standard normal scores of the tests that have a score, (n, n_scored)."""
     return one.population_scores(theta)[0][:, one.scored]
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per parameter whose law in the tests is tested; empty for a single test.
+    """Return a list with one check per parameter whose law over the tests is tested; empty for a single test.
 
     A parameter is tested if it scatters, or if its value in every test follows from the law of the model.
     """
@@ -149,7 +153,7 @@ def checks_of_scores(
     explained : collection of (str, str)
         Pairs of a parameter and a covariate on which it depends in the model.
     level : float
-        Largest probability of a false alarm, of all parameters together.
+        Largest probability of a false alarm for all parameters together.
     """
     names, n = [*populations, *others], len(populations)
     to_causes = _TO_CAUSES if n else 1.0
@@ -201,10 +205,11 @@ def _explained_by_others(
     limit: float,
     concerned: Sequence[int],
 ) -> list[int]:
-    """Return the indices of parameters among `concerned` whose effects others of them explain.
+    """Return the indices in `concerned` of parameters whose apparent effects are explained by other parameters.
 
-    The residuals of a test move every parameter to which the same modes are sensitive. The parameter with the
-    strongest effect is therefore chosen, its scores are regressed out of the others, and so on while p < `limit`.
+    A change in one parameter also shifts the scores of every other parameter that affects the same modes. So the
+    parameter with the strongest effect is removed, its scores are regressed out of the rest, and this is repeated
+    until no effect has p < `limit`.
     """
     left, z = list(concerned), scores
     while left:
@@ -217,7 +222,7 @@ def _explained_by_others(
 
 
 def _regress_out(scores: FloatArray, k: int) -> FloatArray:
-    """Return the scores after the regression of all others on the scores of parameter `k`."""
+    """Return the scores of all other parameters after their regression on the scores of parameter `k`."""
     z = scores - np.nanmean(scores, axis=0)
     by = np.nan_to_num(z[:, k])
     slopes = np.nansum(z * by[:, None], axis=0) / np.sum(by**2)
@@ -226,9 +231,9 @@ def _regress_out(scores: FloatArray, k: int) -> FloatArray:
 
 
 def standard_scores(group: xr.Dataset) -> FloatArray:
-    """Return scores, standard normal if the model is correct, (n_tests, n_populations); NaN where unknown.
+    """Return scores that are standard normal if the model is correct, (n_tests, n_populations); NaN where unknown.
 
-    Tests that are probably outliers in the model are left out.
+    Tests that are probably outliers in the model, and scores that the data hardly inform, are NaN.
     """
     mean, sd = (group[name].transpose("test", "population").to_numpy() for name in ("score", "score_sd"))
     informed = 1.0 - sd**2
@@ -245,7 +250,8 @@ def standard_scores(group: xr.Dataset) -> FloatArray:
 def effective_parameters(trace: xr.DataTree) -> int:
     """Return the effective number of parameters of a trace, rounded to an integer.
 
-    A score counts as the share of its prior variance that the data remove; every other parameter counts as one.
+    A score of a test counts as the share of its prior variance that the data remove; every other parameter counts
+    as one.
     """
     n = len(parameter_names(trace))
     if not has(trace, GROUP, "score_sd"):

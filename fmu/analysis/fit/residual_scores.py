@@ -1,11 +1,11 @@
-"""Scores of the tests from the residuals: in which direction the data of each test would move a parameter.
+"""Scores of the tests from the residuals: the direction in which the data of each test would move a parameter.
 
 For a parameter that does not scatter, the model gives the value in every test: one value, a value for each group,
-or a law in the covariates. With the residuals r of test t, in standard deviations, and their derivatives J by the
-parameter in this test, at the posterior mean, the score is s_t = −Jᵀr/|J|. It is the statistic of the score test
-that the value in test t is another one (Rao 1948, *Proc. Camb. Phil. Soc.* 44, 50–57), positive if the data ask
-for a larger value. If the model is correct, the scores are independent of order, groups and covariates, and their
-variance is nearly one, as many tests determine few parameters.
+or a law in the covariates. Let r be the residuals of test t, in standard deviations, and J their derivatives with
+respect to the parameter in this test, at the posterior mean. The score is s_t = −Jᵀr/|J|. This is the statistic of
+the score test of whether the value in test t differs from the model (Rao 1948, *Proc. Camb. Phil. Soc.* 44,
+50–57). It is positive if the data favour a larger value. If the model is correct, the scores are independent of
+order, groups and covariates. Their variance is nearly one, because many tests determine few parameters.
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ if TYPE_CHECKING:
 
 GROUP = "residual_scores"
 _LEAST = 1e-6
-"""A parameter is not seen by a test if its derivatives are below this share of the largest of all tests."""
+"""A parameter does not affect a test if its derivatives are below this share of the largest of all tests.
+
+The share applies to sums of squared derivatives."""
 _IN_EACH_TEST = ("mean", "test")
-"""Roles of parameters whose values in the tests are free: those of a population, or of each test."""
+"""Roles of parameters whose values in the tests are free: those of a population, and those of single tests."""
 
 
 def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.Dataset]:
-    """Return a dict with the group ``residual_scores`` of a trace.
+    """Return a dict with the trace group ``residual_scores``.
 
-    The dict is empty if all parameters scatter or have a value of their own in each test, or if derivatives take
-    further solves of a user's function.
+    The dict is empty if all parameters scatter or have a separate value in each test, or if derivatives would take
+    further calls of a user's function.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.
 
 
 def _scores(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return the scores at theta (ndim,), (n_tests, n_structural); NaN where a test does not see a parameter."""
+    """Return the scores at theta (ndim,), (n_tests, n_structural); NaN if a parameter does not affect a test."""
     likelihood, every = problem.likelihood, problem.layout.of_model(theta[None])
     seen, noise = likelihood.observed(every, True), every[:, problem.model.n_parameters :]
     gradient = np.zeros((problem.data.n_modes, len(problem.layout.structural)))

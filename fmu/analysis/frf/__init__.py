@@ -1,1 +1,1 @@
-"""Frequency response functions at the draws of a run: predictions, misfit, and the check of the model by them."""
+"""Frequency response functions at the draws of a run: predictions, misfit, and checks of the model with them."""

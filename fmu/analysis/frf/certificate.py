@@ -19,7 +19,7 @@ _DRAWS = 4
 
 
 def certify_frfs(trace: xr.DataTree, problem: UpdatingProblem, draws: int = _DRAWS) -> FRFCertificate | None:
-    """Return the errors of the reduced model of the FRFs at some draws; None without FRFs or without reduction.
+    """Return the errors of the reduced model of the FRFs at some draws; None without FRFs or a reduced model.
 
     Parameters
     ----------

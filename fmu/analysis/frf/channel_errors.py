@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _EXPLAINS = 0.25
-"""Largest share of the squared errors that an explanation may leave."""
+"""Largest share of the squared errors that may remain for an explanation to be accepted."""
 _SIMPLER = 1.1
 """Ratio of the squared errors up to which reversed polarity is preferred to a gain near minus one."""
 _STEPS, _ROUNDS = 201, 4
@@ -20,9 +20,9 @@ _STEPS, _ROUNDS = 201, 4
 
 
 def explain_by_channel(one: xr.Dataset) -> str:
-    """Return the error of the channel that explains most of the misfit of one FRF; empty if none does.
+    """Return a clause on the channel error that explains most of the misfit of one FRF; empty if none does.
 
-    Tried are another gain, reversed polarity, and a delay, each at the median of the model's FRFs.
+    The candidates are another gain, reversed polarity and a delay, each applied to the median of the model's FRFs.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def explain_by_channel(one: xr.Dataset) -> str:
     weight = (distance / np.maximum(np.abs(d - H), np.finfo(float).tiny)) ** 2  # 1/V
 
     def squares_with(factor: Any) -> Any:
-        """Return the squared errors with the FRF times a number, or times factors (..., n_lines)."""
+        """Return the sum of squared errors if the FRF is multiplied by a number, or by factors (..., n_lines)."""
         return np.sum(weight * np.abs(d - factor * H) ** 2, axis=-1)
 
     gain = float(np.sum(weight * np.real(np.conj(H) * d)) / np.sum(weight * np.abs(H) ** 2))

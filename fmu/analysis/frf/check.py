@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per frequency response function: whether it differs by noise alone.
+    """Return a list with one check per frequency response function: whether noise alone explains the misfit.
 
     At each draw, Σ r² over the lines is chi-square if the model is correct, and P(χ² ≥ Σ r²) is uniform; its mean
     over the draws is compared with half the level (`fmu.analysis.fit.checks`).
@@ -55,7 +55,7 @@ def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def has_held_out(trace: xr.DataTree) -> bool:
-    """Return True if some measured values of frequency response functions were not used and test the model."""
+    """Return True if some measured values of frequency response functions were held out to test the model."""
     return bool(trace[GROUP]["held_freedom"].to_numpy().any())
 
 

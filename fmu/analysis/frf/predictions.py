@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 
 GROUP = "frfs"
 _JUDGED, _DRAWN, _AT_ONCE = 500, 200, 16
-"""Numbers of draws that are compared with the data, and that give the bands; number of draws solved together."""
+"""Numbers of draws compared with the data and used for the bands, and number of draws solved together."""
 _BAND = (0.05, 0.5, 0.95)
 _FILL = {"in_spectrum": 0, "used": 0, "held_out": 0}
-"""Values at lines that only the spectra of other tests have, where they are not NaN."""
+"""Values at lines that only the spectra of other tests have, for variables that cannot be NaN."""
 
 
 class HeldOut(NamedTuple):
-    """The comparison of values that were not used with their prediction, by FRF.
+    """The comparison of held-out values with their prediction, for each FRF.
 
     Attributes
     ----------
     squares : ndarray, shape (n_frfs,)
-        Chi-square with `freedom` degrees of freedom if the model is correct.
+        Chi-square with `freedom` degrees of freedom if the model is correct; NaN without held-out values.
     freedom : ndarray of int, shape (n_frfs,)
     inside : ndarray of int, shape (n_frfs,)
-        Number of values whose amplitude is in its 90 % interval.
+        Number of held-out values whose amplitude is inside its 90 % interval.
     """
 
     squares: FloatArray
@@ -52,21 +52,23 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
     Returns
     -------
     mapping of str to xarray.Dataset
-        Dimensions: ``frf``, named by response and drive, and by the test if there are several; ``line``, Hz, those
-        of all tests; ``part``, the real and the imaginary part; ``sample``, evenly spaced draws. Variables:
-        ``response`` (frf), the kind of the FRF; ``in_spectrum`` (frf, line), whether its spectrum has the line;
-        ``measured`` (frf, line, part), in the units of the data; ``used`` and ``held_out`` (frf, line), whether a
-        value is used, or tests the updated model (`fmu.posterior.data.held_out_lines`); ``amplitude`` and
-        ``phase`` (kind, quantile, frf, line), the quantiles 5, 50 and 95 % of the model's FRFs, with the errors of
-        the channels, and of another measurement; phases in degrees; ``distance`` (frf, line), the root of the sum
-        of the squared errors of the real and the imaginary part (or of log amplitude and phase) in standard
-        deviations, at the mean of the model's FRFs;
-        ``squares`` (sample, frf), which is chi-square with ``freedom`` (frf) degrees of freedom if the model is
-        correct;
-        ``held_squares``, ``held_freedom`` and ``held_inside`` (frf), see `HeldOut`; ``frac`` (frf), the frequency
-        response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF that is
-        not used; ``gain`` and ``gain_sd`` (channel), the gain errors that are integrated out. What is predicted is
-        NaN where it is neither used nor tested.
+        Dimensions: ``frf``, named by response and drive, and by the test if there are several; ``line``, the
+        frequencies of all tests in Hz; ``part``, the real and the imaginary part; ``sample``, evenly spaced draws.
+
+        Variables: ``response`` (frf), the kind of the FRF; ``in_spectrum`` (frf, line), whether its spectrum has
+        the line; ``measured`` (frf, line, part), in the units of the data; ``used`` and ``held_out`` (frf, line),
+        whether a value is used, or tests the updated model (`fmu.posterior.data.held_out_lines`).
+
+        ``amplitude`` and ``phase`` (kind, quantile, frf, line) are the 5 %, 50 % and 95 % quantiles of the model's
+        FRFs with the errors of the channels, and of another measurement; phases are in degrees. ``distance``
+        (frf, line) is the root of the sum of the squared errors of the real and the imaginary part (or of log
+        amplitude and phase) in standard deviations, at the mean of the model's FRFs. ``squares`` (sample, frf) is
+        chi-square with ``freedom`` (frf) degrees of freedom if the model is correct.
+
+        For ``held_squares``, ``held_freedom`` and ``held_inside`` (frf) see `HeldOut`. ``frac`` (frf) is the
+        frequency response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF
+        that is not used. ``gain`` and ``gain_sd`` (channel) are the gain errors that are integrated out.
+        Predictions are NaN at values that are neither used nor held out.
     """
     import xarray as xr
 
@@ -84,7 +86,7 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
 
 def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> xr.Dataset:
-    """Return the group of the FRFs of one test, at draws of the own parameters of `term`, (n, n_own)."""
+    """Return the group of the FRFs of one test, at draws (n, n_own) of the parameters of this test's `term`."""
     import xarray as xr
 
     data = term.data
@@ -111,7 +113,7 @@ def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -
     known = term.channels.gain_sd > 0.0
 
     def spread(values: FloatArray) -> FloatArray:
-        """Return values at all lines from values at the predicted ones."""
+        """Return values at all lines, NaN where nothing is predicted, from values at the predicted lines."""
         found = np.full((*values.shape[:-1], data.n_lines), np.nan)
         found[..., lines] = values
         return found
@@ -154,11 +156,11 @@ def _compare(
     amplitude: FloatArray,
     held: BoolArray,
 ) -> HeldOut:
-    """Return the comparison of the values `held` (n_frfs, n_lines) with their prediction.
+    """Return the comparison of the values marked in `held` (n_frfs, n_lines) with their prediction.
 
-    With z, the errors at draw s in standard deviations (real and imaginary parts), their mean z̄ over the draws and
-    the matrix A of the deviations (z − z̄)/√(S − 1), the prediction has the covariance I + A Aᵀ, and
-    z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square.
+    Let z be the errors at a draw in standard deviations (real and imaginary parts), z̄ their mean over S draws,
+    and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and z̄ᵀ (I +
+    A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square.
     """
     squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
     low, _, high = amplitude
@@ -178,7 +180,10 @@ def _compare(
 
 
 def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return quantiles of amplitude and phase in degrees, (3, n_frfs, n_lines); phases lie around the median's."""
+    """Return quantiles of amplitude and of phase in degrees, each (3, n_frfs, n_lines).
+
+    Phases are taken within 180° of the phase of the median, so that they do not wrap.
+    """
     middle = np.median(frfs.real, axis=0) + 1j * np.median(frfs.imag, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         away = np.angle(frfs / middle)
@@ -189,7 +194,7 @@ def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
 def frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
     """Return the frequency response assurance criterion |Σ d H*|²/(Σ |d|² Σ |H|²) of each function, (n_frfs,).
 
-    Values (n_frfs, n_lines) that are 0 do not count; without others it is NaN (Heylen & Lammens 1996).
+    Values (n_frfs, n_lines) that are 0 do not count; if all are 0, the criterion is NaN (Heylen & Lammens 1996).
     """
     cross = np.abs(np.sum(measured * np.conj(computed), axis=1)) ** 2
     size = np.sum(np.abs(measured) ** 2, axis=1) * np.sum(np.abs(computed) ** 2, axis=1)

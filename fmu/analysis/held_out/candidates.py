@@ -30,7 +30,7 @@ _GROUPS, _A_GROUP = 8, 20
 
 
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return the quadratic models at the maxima that may hold some of the probability."""
+    """Return quadratic models of log P at the maxima that may hold a significant part of the probability."""
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
     return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
@@ -44,9 +44,9 @@ def gaussians(
 
 
 def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
-    """Return each quadratic fitted to the draws around it; unchanged if there are too few draws.
+    """Return each quadratic model fitted to the draws around it; unchanged if there are too few draws.
 
-    The weights P^(1/4) also include the flanks, where most of the draws lie.
+    The weights P^(1/4) also include the flanks of the peak, where most of the draws lie.
     """
     known = np.isfinite(log_p)
     u, log_p = u[known], log_p[known]
@@ -77,7 +77,10 @@ class PriorCandidates:
 
 
 def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
-    """Return Gaussians fitted to groups of neighbours (k-means) among weighted draws (n, ndim)."""
+    """Return Gaussians fitted to groups of neighbouring draws (k-means), given weighted draws (n, ndim).
+
+    The result is empty if there are too few distinct draws for two groups.
+    """
     from scipy.cluster.vq import kmeans2
 
     n = u.shape[1]

@@ -61,7 +61,7 @@ _A_REFIT, _REFITS = 0.5, 3.0
 """Longest refit of one mode with unreliable weights, and of all such modes, as multiples of `_FREE_S`."""
 _TIMED, _SEED = 64, 1
 _BEFORE_A_RUN = 24_000
-"""Largest number of solves of a refit that is followed by a run of its own if it is unreliable."""
+"""Largest number of solves of a refit, if a separate run follows in case it is unreliable."""
 
 
 @check_arguments
@@ -79,10 +79,11 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that was sampled: the table is computed again, however long this takes. A mode that refits by
-        importance sampling do not predict reliably has a run of the mixture of its own. Without a problem, the
-        stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
-        hierarchical posterior, which has parameters for every test, is never refitted: its draws are weighted.
+        The problem that was sampled. If given, the table is computed again, however long this takes. A mode for
+        which importance sampling gives no reliable prediction gets a separate run of the mixture. Without a
+        problem, the stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are
+        known. A hierarchical posterior, which has parameters for every test, is never refitted: its draws are
+        weighted.
 
     Returns
     -------
@@ -97,8 +98,9 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz;
         - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;
-        - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty, without numbers,
-          if the draws do not cover the posterior without the mode and there was no refit;
+        - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty. It is empty,
+          and the predictions are NaN, if the draws do not cover the posterior without the mode and there was no
+          refit;
         - ``used``: whether the mode was used in updating.
 
     Raises
@@ -126,7 +128,7 @@ def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | None = None) -> xr.DataTree:
-    """Return the trace with the table of `leave_one_out` stored in it.
+    """Return the trace with the table of `leave_one_out` stored in it; unchanged if no mode can be left out.
 
     Parameters
     ----------
@@ -134,11 +136,11 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     problem : UpdatingProblem
         The problem that was sampled.
     most : float, optional
-        Largest number of solves for updating without modes. The default is half the solves of the draws or the
-        number that takes five seconds, whichever is larger, for 400 or more draws of a model with derivatives.
-        Modes with unreliable weights are left out beyond that if each takes 2.5 seconds at most, all of them 15.
-        With ``inf``, every mode whose refit is unreliable has a run of its own. A hierarchical posterior has too
-        many parameters for refits, and `most` has no effect.
+        Largest number of solves for updating without modes. For 400 or more draws of a model with derivatives, it
+        defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Modes
+        with unreliable weights are left out beyond this limit if one takes at most 2.5 seconds and all of them at
+        most 15. With ``inf``, every mode whose refit is unreliable gets a separate run. A hierarchical posterior
+        has too many parameters for refits, and `most` has no effect.
     """
     import xarray as xr
 
@@ -186,10 +188,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 @dataclass
 class _Known:
-    """Cached results of a problem: the prediction and the limit of solves of each mode, and an approximation.
+    """Cached results of a problem: for each mode the prediction and the limit of solves, and an approximation.
 
-    `is_gaussian` is False if the common candidates did not cover the posterior with all modes. Each mode's own
-    candidates are Gaussians too.
+    `is_gaussian` is False if the common candidates did not cover the posterior with all modes. In this case the
+    separate candidates of each mode, which are Gaussian too, are not tried.
     """
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
@@ -205,11 +207,11 @@ def _known_of(problem: UpdatingProblem) -> _Known:
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return a dict of the predictions after updating without each mode, by index, as far as the solves suffice.
+    """Return the predictions after updating without each mode, by index, as far as the limit of solves allows.
 
-    All modes are first left out with the same candidates. Modes that these do not cover well are left out with
-    their own candidates. The results are cached, because they depend only on the problem and not on the draws, so
-    that one computation serves all samplers.
+    All modes are first left out with the same candidates. Modes that these do not cover well are then left out
+    with separate candidates. The results are cached: they depend only on the problem and not on the draws, so that
+    one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES:
@@ -232,7 +234,7 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, HeldOut]:
-    """Return a dict of the predictions by draws of the posterior without each mode, as far as they converge."""
+    """Return the predictions by separate runs without each mode, by index, for the runs that converge."""
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
         for k in modes:
@@ -244,7 +246,7 @@ def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dic
 
 
 def _by_own_run(problem: UpdatingProblem, k: int) -> HeldOut | None:
-    """Return the prediction of mode `k` by draws of the posterior without it; None if they do not converge."""
+    """Return the prediction of mode `k` by a separate run without this mode; None if it does not converge."""
     other = _without(problem, k)
     found = draws_without(other, _SEED)
     if found is None:
@@ -256,7 +258,10 @@ def _by_own_run(problem: UpdatingProblem, k: int) -> HeldOut | None:
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a warning about used modes without a prediction, because neither weights nor refits were reliable."""
+    """Return a list with a warning about used modes without a prediction; empty if there are none.
+
+    Such modes have neither reliable weights nor a reliable refit.
+    """
     table = kept_table(trace)
     if table is None:
         return []
@@ -271,7 +276,7 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOut:
-    """Return the prediction of mode `k` by the weighted draws; without numbers if the weights are unreliable."""
+    """Return the prediction of mode `k` by the weighted draws; NaN if the weights are unreliable."""
     if smoothed is None:
         return HeldOut()
     if not smoothed.is_good:
@@ -281,14 +286,14 @@ def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOu
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws) -> HeldOut:
-    """Return the prediction by the posterior of mode `k`, which was not used in updating."""
+    """Return the prediction of mode `k`, which was not used in updating, by the posterior."""
     log_p = _log_likelihood(with_mode(problem, k), draws) - _log_likelihood(problem, draws)
     row = _by_posterior(k, draws, log_p, trace["posterior"].sizes["chain"], walkers_of(trace))
     return row._replace(method=NOT_USED)
 
 
 def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
-    """Return the prediction of mode `k` by draws of the posterior without it, and its log-density there, (n,)."""
+    """Return the prediction of mode `k` by draws of a posterior without it, given its log-density there, (n,)."""
     row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
@@ -299,7 +304,10 @@ def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers:
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
-    """Return the predictions after updating without each of `modes`, by index, if common candidates cover them."""
+    """Return the predictions by common candidates after updating without each of `modes`, by index.
+
+    Each prediction comes with its limit of solves. Modes that the candidates do not cover are left out.
+    """
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
@@ -312,7 +320,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Return the prediction of mode `k` from updating with and without this mode, or the cached prediction."""
+    """Return the prediction of mode `k` from updating with and without this mode; cached if known well enough."""
     known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]
@@ -331,7 +339,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
 
 
 def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
-    """Return the prediction of mode `k` by the posterior without this mode, with the numbers that are reliable."""
+    """Return the prediction of mode `k` by the posterior without this mode; unreliable numbers are NaN."""
     used = draws.problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
@@ -360,8 +368,8 @@ def _generator(stream: int) -> np.random.Generator:
 def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
     """Return the approximate time of a solve in seconds, from the matrix sizes; for a function, the measured time.
 
-    Because the time of a structure is not measured, a run that is repeated or resumed has the same table, whatever
-    the load of the machine.
+    Because the time of a structure is not measured, a repeated or resumed run has the same table, whatever the
+    load of the machine.
     """
     structure = structure_of(problem.model)
     if structure is not None:

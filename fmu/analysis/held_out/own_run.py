@@ -1,4 +1,4 @@
-"""The posterior without a mode by a run of the mixture of its own, where importance weights are unreliable."""
+"""The posterior without a mode by a separate run of the mixture, for modes with unreliable importance weights."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 _CHAINS, _WARMUP, _FIRST, _MOST = 4, 1000, 1000, 128_000
-"""Number of chains, steps of warm-up, steps before the first judgement, and most steps."""
+"""Number of chains, warm-up steps, steps before convergence is first judged, and largest number of steps."""
 
 
 def draws_without(without: UpdatingProblem, seed: int) -> FloatArray | None:
     """Return draws of a posterior, (chains, n, ndim), SI units; None if they do not converge.
 
-    They are converged if R-hat and the effective sample sizes of all parameters are as `fmu.diagnose` demands.
-    Until then the number of draws is doubled, up to `_MOST` of each chain.
+    They have converged if R-hat and the effective sample sizes of all parameters meet the limits of
+    `fmu.diagnose`. Until then the number of draws is doubled, up to `_MOST` per chain.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class HeldOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of the parameters, and the frequencies there.
+    """Draws of the parameters, and the frequencies at them.
 
     Attributes
     ----------
@@ -56,19 +56,20 @@ class Draws:
 
     @cached_property
     def _distinct(self) -> tuple[FloatArray, IntArray]:
-        """The distinct draws as parameters of the model, and the index among them of each draw."""
+        """The distinct draws as parameters of the model, and for each draw its index among them."""
         return distinct_rows(self.problem.layout.of_model(self.theta))
 
     @cached_property
     def _observed(self) -> ModalPrediction:
-        """The modes at the distinct draws, for all modes that are left out if the model has a discrepancy."""
+        """The computed modes at the distinct draws, which every left-out mode needs if there is a discrepancy."""
         return self.problem.likelihood.observed(self._distinct[0])
 
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
         """Return the predictive distribution of a measurement of mode `k`, given the used modes.
 
-        It is the mixture over the draws of the distributions of the measurement, which are Gaussian, or Student's
-        if the measurement is the mean of tests whose scatter gives its error.
+        The distribution is a mixture over the draws of the distributions of the measurement. These are Gaussian,
+        or Student's if the measurement is the mean of tests whose scatter gives its error. The prediction is NaN
+        if the problem has no error model of frequencies.
         """
         from scipy.optimize import brentq
 
@@ -104,6 +105,6 @@ class Draws:
 
 
 def with_mode(problem: UpdatingProblem, k: int) -> UpdatingProblem:
-    """Return the problem updated also with mode `k`."""
+    """Return the problem updated with mode `k` in addition to the used modes."""
     use = zip(problem.data.labels, problem.data.use, strict=True)
     return problem.using([label for i, (label, used) in enumerate(use) if used or i == k])

@@ -1,4 +1,7 @@
-"""The posterior without a mode by importance sampling, and the predictive density of this mode's measurement."""
+"""The posterior without a mode by importance sampling, and the predictive density of this mode's measurement.
+
+The elpd of a mode is the log-density of its measurement given the other modes.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +34,9 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 ERROR, ACCEPTED = 0.02, 0.05
-"""Target of the standard error of a log-density, and its largest accepted value."""
+"""Target standard error of a log-density, and its largest accepted value."""
 SOLVES, MOST_SOLVES = 12_000, 120_000
-"""Usual smallest number and largest number of solves to leave a mode out."""
+"""Usual smallest number, and largest number, of solves to leave out a mode."""
 _PILOT = 512
 _FITS = 2
 WIDER = (1.0, 2.0)
@@ -111,17 +114,18 @@ class LeftOut:
 def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> Approximation:
     """Return an approximation of the posterior of a problem.
 
-    Each quadratic first has the curvature at its maximum. It is then fitted twice by least squares to the
-    log-probability of draws, which is much closer if the posterior is skewed. If the weights of the draws are
-    still uneven, a bent ridge may lead to regions where no quadratic has any probability, and importance weights
-    do not reveal regions without draws. Short chains from some of the draws then follow the ridge, and their draws
-    form the groups.
+    Each quadratic model first has the curvature at its maximum. It is then fitted twice by least squares to the
+    log-probability of draws, which is much more accurate if the posterior is skewed. If the weights of the draws
+    are still uneven, a bent ridge may lead to regions where no quadratic has any probability, and importance
+    weights do not reveal regions without draws. Short chains from some of the draws then follow the ridge, and
+    their draws form the groups.
 
     Parameters
     ----------
     problem : UpdatingProblem
     near : ndarray, shape (n, ndim)
-        Additional starts of the search for maxima, such as draws from a posterior with other modes, SI units.
+        Additional starting points for the search for maxima, such as draws from a posterior with other modes, SI
+        units.
     rng : Generator
     """
     scaled = ScaledDensity(problem)
@@ -143,7 +147,7 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
-    """Return the problem with `_SHARE` of the reduced basis, if log P at its highest points hardly changes.
+    """Return the problem with `_SHARE` of the reduced basis, if this hardly changes log P at its highest points.
 
     The chains of this problem only provide proposals, which need not be exact.
     """
@@ -178,11 +182,12 @@ def left_out(
     log p(y_k | y_-k) = log Z - log Z_-k. Both evidences come from the same draws. These are drawn from a mixture
     of the Gaussians around the maxima of both posteriors, of wider Gaussians and of the prior. If the two
     posteriors hardly overlap, the measurement lies far out in the tail of its prediction, which draws of the
-    posterior without the mode alone do not reach. The number of draws is doubled until the standard error is
-    `ERROR`, or `ACCEPTED` if many draws would be needed. If the weights are unreliable, as for posteriors far from
-    Gaussian along a bent ridge, the quadratics are fitted again to all of these draws, and the draws are divided
-    into groups of neighbours. They are then replaced by draws from a new mixture that includes the Gaussians of
-    all groups.
+    posterior without the mode do not reach by themselves. The number of draws is doubled until the standard error
+    is `ERROR`, or `ACCEPTED` if many draws would be needed.
+
+    The weights may be unreliable, as for a posterior along a bent ridge, far from Gaussian. The quadratics are
+    then fitted again to all of these draws, and the draws are divided into groups of neighbours. New draws follow
+    from a mixture that includes the Gaussians of all groups, and replace the old draws.
 
     Parameters
     ----------
@@ -215,9 +220,10 @@ def _draw_until_enough(
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
-    """Return the comparison of both posteriors by as many draws as needed, up to `most`, and log P of both (2, n).
+    """Return the comparison of both posteriors by as many draws as needed, and log P of both (2, n).
 
-    The function stops early if even `most` draws would be too few, because a better mixture is then needed.
+    At most `most` draws are made. The function stops early if even these would be too few, because a better
+    mixture is then needed.
     """
     scaled = ScaledDensity(whole)
     proposals: list[Proposal] = [*gaussians(models, scaled, WIDER), PriorCandidates(whole, scaled)]
@@ -242,10 +248,10 @@ def _draw_until_enough(
 
 
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
-    """Return the log-probabilities and frequencies of problems with one model, (n, n_problems + n_modes).
+    """Return the log-probabilities of problems with one model, and its frequencies, (n, n_problems + n_modes).
 
-    Unless a pairing is soft, every theta is solved once. The last problem must use all modes of the other
-    problems.
+    Unless a pairing is soft, the model is solved once at each theta. The last problem must use all modes of the
+    other problems.
     """
     whole, likelihoods = problems[-1], list[Any](problem.likelihood for problem in problems)
     if whole.model.is_soft:
@@ -261,7 +267,10 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
 
 
 def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
-    """Return the comparison of the posteriors without and with a mode, log P (2, n), by draws from a density q."""
+    """Return the comparison of the posteriors without and with a mode, by draws from a density q.
+
+    The log-probabilities `log_p` have the shape (2, n): without and with the mode.
+    """
     log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)
     w = np.exp(log_w - total[:, None])

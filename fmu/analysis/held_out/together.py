@@ -1,6 +1,6 @@
 """The posteriors without each of several modes, from one set of draws.
 
-A solve gives all frequencies, and thus the log-probabilities of the posterior with all modes and of the posteriors
+A solve gives all frequencies, and thus the log-probability of the posterior with all modes and of the posterior
 without any one of them. The same draws of one mixture are weighted for all posteriors, so that leaving out ten
 modes takes about as many solves as leaving out one.
 """
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 _PILOT, _FITS = 2048, 2
 """Number of draws to which the Gaussians are fitted, and number of fits."""
 _FIRST, _FAIR, _MOST = 3072, 8192, 24_000
-"""Draws before the errors are first estimated, draws from which accepted errors suffice, and most draws."""
+"""Draws before the errors are first estimated, draws after which accepted errors suffice, and most draws."""
 _ROUNDS = 3
 _EVEN = 0.25
-"""Ratio of a posterior's effective draws to its part of the draws below which chains explore the rest."""
+"""If a posterior has fewer effective draws than this share of its part of the draws, chains explore the rest."""
 _WALKERS, _STEPS, _FLAT, _JITTER = 48, 100, 0.25, 1e-4
 _OF_PRIOR = 0.25
 """Ratio of the draws from the prior to the draws for each posterior."""
@@ -61,7 +61,7 @@ def left_out_together(
     bent ridge, short chains explore the rest, and Gaussians fitted to groups of their draws are added. The
     comparisons then use draws from the mixture of all Gaussians, of wider Gaussians and of the prior. If the
     weights of a posterior are unreliable, its chains are continued. If they are still unreliable, the result
-    states this (`LeftOut.predicts`, `LeftOut.is_known`).
+    shows this (`LeftOut.predicts`, `LeftOut.is_known`).
 
     Parameters
     ----------
@@ -101,10 +101,10 @@ def left_out_together(
 def _first_models(
     problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
 ) -> tuple[list[list[Quadratic]], dict[int, FloatArray], UpdatingProblem]:
-    """Return quadratics fitted to each posterior, and the starts of chains for poorly covered posteriors.
+    """Return quadratics fitted to each posterior, and starting points of chains in poorly covered posteriors.
 
-    The maxima of the last posterior are further starts for the maxima of every posterior. The third result is the
-    last problem, with a part of the reduced basis if this suffices for chains.
+    The maxima of the last posterior are additional starting points in the search for the maxima of the others. The
+    third result is the last problem, with a part of the reduced basis if this suffices for chains.
     """
     n, whole = len(problems), problems[-1]
     models = [quadratics_at_maxima(whole, scaled, whole.start[None])]
@@ -124,7 +124,7 @@ def _first_models(
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return draws with flattened weights, (_WALKERS, ndim), because the best draws alone may be too few."""
+    """Return draws with flattened weights, (_WALKERS, ndim), because too few draws may have high weights."""
     return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 
@@ -134,7 +134,7 @@ def _walk(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
-    """Return a dict of draws of short chains in some of the posteriors, by index, each (n, ndim), scaled.
+    """Return draws of short chains in some of the posteriors, by index, each (n, ndim), scaled.
 
     The chains use differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the
     difference of two other walkers, so that the walkers spread along a ridge. The walkers of all posteriors move
@@ -165,7 +165,7 @@ def _walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A mixture with equal weights for all posteriors, shared equally by their Gaussians, and the prior."""
+    """A mixture with the same weight for each posterior, shared equally by its Gaussians; the prior has less."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal
@@ -199,7 +199,7 @@ def _weigh_candidates(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
-    """Return draws of a mixture, log P of all problems, and comparisons of the wanted problems with the last."""
+    """Return draws of a mixture, log P of all problems, and comparisons of the `wanted` ones with the last."""
     n = len(problems)
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
     while True:

@@ -35,7 +35,7 @@ class Smoothed(NamedTuple):
 
 
 def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
-    """Return a dict of the importance weights of each used mode; empty for too few draws or constant draws."""
+    """Return the importance weights of each used mode, by label; empty for too few draws or constant draws."""
     kept = list(map(str, trace["log_likelihood"].data_vars))
     # with correlated errors, the terms that sum to the joint density are not those of each mode given the others
     terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])

@@ -1,8 +1,8 @@
-"""Classification of the end of an ascent: vanishing gradient or active bound, kink, jump, edge or slope.
+"""Classify the point where an ascent ends: a maximum (zero gradient or active bound), kink, jump, edge or slope.
 
 Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with shapes, a jump. An
-ascent that meets a jump ends there with a gradient that points across it. Such a point is no maximum, and the
-quadratic model around it, which rises with this gradient, is wrong beyond the jump.
+ascent that reaches a jump stops there with a non-zero gradient pointing across it. Such a point is not a maximum,
+and a quadratic model that extrapolates this gradient is wrong beyond the jump.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 MAXIMUM, KINK, JUMP, EDGE, SLOPE = "maximum", "kink", "jump", "edge", "slope"
-"""Vanishing gradient or active bound; a gradient that turns; a fall; no solution beyond; a further rise."""
+"""Kinds of points: zero gradient or active bound; the gradient changes sign; log P falls; the model has no
+solution beyond; log P rises further."""
 VANISHING = 0.1
 """Largest gradient at a maximum, in nats per posterior standard deviation."""
 _FALL, _WITHIN = 0.05, 1e-5
@@ -28,7 +29,7 @@ _FALL, _WITHIN = 0.05, 1e-5
 _AHEAD = np.logspace(-8.0, -1.0, 15)
 _HALVINGS = 40
 _LOW, _WIDER = 40.0, 28.0
-"""Nats below the best point, and nats per coordinate for which a factor of 1e12 in width compensates."""
+"""Nats below the best point at which mass is negligible, and nats per coordinate for a factor of 1e12 in width."""
 
 
 def slope(scaled: ScaledDensity, model: Quadratic) -> float:
@@ -43,10 +44,10 @@ def slope(scaled: ScaledDensity, model: Quadratic) -> float:
 
 
 def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -> str:
-    """Return the kind of the end of an ascent: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
+    """Return the kind of point where an ascent ends: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
 
     If the gradient does not vanish, log P is followed along the step that its quadratic model proposes, from 1e-8
-    to a tenth of the step. The first point where log P does not rise as its gradient predicts is then found by
+    to a tenth of the step. The first point where log P rises less than its gradient predicts is then found by
     bisection.
 
     Parameters
@@ -93,12 +94,16 @@ def active_bounds(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
 
 
 def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadratic:
-    """Return the model that divides the draws: without a slope across a jump, beyond which the model is wrong."""
+    """Return the quadratic model that divides the draws among the maxima.
+
+    Unless the point is a maximum or a kink, this model has no slope, except across active bounds: beyond a jump
+    the slope would be wrong.
+    """
     if kind in (MAXIMUM, KINK):
         return model
     return replace(model, gradient=np.where(at_bound != 0, model.gradient, 0.0))
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Return whether each point, with log-probability (n,), is too low to have mass, however wide it is."""
+    """Return whether the log-probability (n,) of each point is too low for it to have mass, however wide it is."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

@@ -1,4 +1,4 @@
-"""Regions of the posterior that a run missed, which no diagnostic of its own draws can show."""
+"""Regions of the posterior that a run missed, which no diagnostic of its own draws can reveal."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Comparison(NamedTuple):
 def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
     """Return the index of the maximum that each draw (n, ndim) is near, shape (n,); −1 if it is near none.
 
-    A draw is near a maximum if the quadratic model of log P falls from the maximum to the draw by no more than to
-    the surface of the ellipsoid that holds `NEARBY` of a Gaussian. A draw near several maxima belongs to the
-    maximum whose model is highest at the draw.
+    A draw is near a maximum if the quadratic model of log P falls no further from the maximum to the draw than to
+    the surface of the ellipsoid that holds the share `NEARBY` of a Gaussian. A draw near several maxima belongs to
+    the maximum whose model is highest at the draw.
     """
     drop = maxima.drop(theta)
     height = np.where(drop <= _reach(theta), _peaks(maxima) - drop, -np.inf)
@@ -57,10 +57,10 @@ def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
 def draws_of_maxima(theta: FloatArray, log_prob: FloatArray, maxima: Maxima) -> IntArray:
     """Return the index of the maximum that each draw belongs to, shape (n,); −1 if it belongs to none.
 
-    A draw near a maximum belongs to this maximum. A curved ridge leaves the ellipsoid. Therefore a draw near no
-    maximum belongs to the maximum whose quadratic model falls least, if its log-probability is at least that on
-    the surface of the ellipsoid. This divides the draws; it does not show whether a maximum was visited, since an
-    unknown mode may be as high.
+    A draw near a maximum (`nearest_maxima`) belongs to it. A curved ridge leaves the ellipsoid of a maximum.
+    Therefore a draw near no maximum belongs to the one whose quadratic model falls least, if its log-probability
+    is at least that on the surface of the ellipsoid. This divides the draws; it does not show whether a maximum
+    was visited, since an unknown mode may be as high.
 
     Parameters
     ----------
@@ -79,12 +79,15 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return the drop of log P from the peak of a Gaussian to its ellipsoid: half of the χ² quantile."""
+    """Return the drop of log P from the peak of a Gaussian to the ellipsoid that holds the share `NEARBY`.
+
+    The drop is half of the χ² quantile.
+    """
     return float(gammaincinv(0.5 * theta.shape[1], NEARBY))
 
 
 def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
-    """Return sentences on maxima with mass that a run never came near, or visited out of proportion.
+    """Return sentences on maxima with mass that a run never came near, or visited out of proportion to their mass.
 
     Parameters
     ----------
@@ -100,11 +103,11 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 
 
 def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
-    """Compare the shares of a run's draws with the shares of the maxima.
+    """Compare the shares of a run's draws around the maxima with the maxima's shares of the mass.
 
     If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The share with the larger
     effective sample size decides. For the run, this is the effective sample size of the indicator of the maximum,
-    and the number of chains if no chain ever changes maxima. For importance sampling, it is that of the weights.
+    or the number of chains if no chain ever changes maxima. For importance sampling, it is that of the weights.
 
     Parameters
     ----------
@@ -151,15 +154,15 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
 
 
 class Visits(NamedTuple):
-    """Division of the draws among the maxima, and changes of the chains between maxima.
+    """Division of the draws among the maxima, and moves of the chains between maxima.
 
     Attributes
     ----------
     share, error : ndarray, shape (maxima,)
         Share of the draws that belong to each maximum, and its Monte Carlo standard error; NaN if no chain ever
-        changed.
+        moved to another maximum.
     crossings : ndarray of int, shape (chains,)
-        Number of changes from one maximum to another along each chain, or of all walkers of an ensemble.
+        Number of moves from one maximum to another along each chain, or of all walkers of an ensemble.
     """
 
     share: FloatArray
@@ -168,7 +171,7 @@ class Visits(NamedTuple):
 
 
 def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
-    """Return the shares of a run's draws at the maxima, and the numbers of crossings between maxima."""
+    """Return the shares of a run's draws at the maxima, and the numbers of moves between maxima."""
     walkers, draws = walkers_of(trace), parameter_draws(trace)
     lp = array_of(trace, "sample_stats", "lp")
     owner = draws_of_maxima(draws.reshape(-1, draws.shape[2]), lp.ravel(), maxima).reshape(len(draws), -1, walkers)
@@ -179,9 +182,10 @@ def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
 
 
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
-    """Return the effective sample size of a share of the draws, given which draws are at the maximum.
+    """Return the effective sample size of the share of draws at a maximum, given which draws are there.
 
-    It is the number of chains if no chain changes maxima, because then the starts alone determine the share.
+    If no chain changes maxima, this is the number of chains, because the starting points alone then determine the
+    share.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))
@@ -190,11 +194,11 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 
 
 def _effective_weights(maxima: Maxima, k: int) -> float:
-    """Return the effective sample size of the mass of a maximum.
+    """Return the effective sample size of the estimated mass of a maximum.
 
-    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. That this mass is almost
-    zero is known as well as the masses of the other maxima, so the largest of their effective sample sizes is
-    returned.
+    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. It is as certain that this
+    mass is almost zero as the masses of the other maxima are. Therefore the largest of their effective sample
+    sizes is returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
@@ -212,14 +216,14 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Return True if a share of the draws and a share of the mass differ too much, and one is not small."""
+    """Return True if a share of the draws and a share of the mass differ too much, unless both are small."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """Return in words how many chains or walkers are around each maximum.
+    """Return a description of how many chains or walkers are around each maximum.
 
     The array `nearest` has the index of a maximum for each draw, shape (chains, steps, walkers).
     """
@@ -241,7 +245,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
 
 
 def _each_path(nearest: IntArray) -> IntArray:
-    """Return an array with one row per chain, or per walker of an ensemble."""
+    """Reshape (chains, steps, walkers) to one row per chain, or per walker of an ensemble."""
     return nearest.swapaxes(1, 2).reshape(-1, nearest.shape[1])
 
 
@@ -263,11 +267,11 @@ def missed_places(
 ) -> list[str]:
     """Return a sentence for each region of significant probability that another run visited and this run missed.
 
-    A draw of another run is far away if its distance to every draw of this run is three times the distance
-    between the chains of this run, in the metric of the covariance within its chains. The mass of the far draws
-    is estimated by E[log P] + the entropy of a Gaussian, which for a Gaussian is the logarithm of its mass. It
-    is compared with the same estimate for this run, or with the total mass of the known maxima if this is larger.
-    Regions near a known maximum are left to `missed_maxima`.
+    A draw of another run is far away if its distance to every draw of this run exceeds three times the distance
+    between the chains of this run. Distances are in the metric of the covariance within the chains of this run.
+    The mass of the far draws is estimated by E[log P] + the entropy of a Gaussian, which for a Gaussian is the
+    logarithm of its mass. It is compared with the same estimate for this run, or with the total mass of the known
+    maxima if this is larger. Regions near a known maximum are left to `missed_maxima`.
 
     Parameters
     ----------
@@ -328,7 +332,10 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return theta, log-probability and mass share of the best far draw of the other run; None if negligible."""
+    """Return theta, log-probability and share of the mass of the best far draw of the other run.
+
+    The result is None if the mass is negligible.
+    """
     W = here.metric()
     ndim = here.position.shape[2]
     own = (here.position @ W).reshape(here.chains, -1, ndim)

@@ -32,8 +32,8 @@ class ModeWeight:
     effective : float
         Effective sample size of the estimate; 0 for the Laplace approximation, which evaluates no densities.
     log_reach : float
-        Logarithm of the mass that the quadratic model of the maximum covers; it equals `log_mass` unless other
-        models divide the draws.
+        Logarithm of the mass that the quadratic model of the maximum covers; it equals `log_mass` unless the draws
+        are divided by other models (`mode_weights`, basins).
     """
 
     log_mass: float
@@ -55,10 +55,10 @@ def mode_weights(
     """Estimate the mass of every maximum.
 
     The first estimate is the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less
-    than e⁻⁴⁰ of the largest mass; maxima so low that no width can compensate have no mass. The other masses are
-    found by importance sampling of P itself: `draws` draws from the Gaussian of each maximum and as many from a
-    Gaussian of twice its width, all weighted by the density of their mixture, and divided among the maxima in
-    proportion to exp(m).
+    than e⁻⁴⁰ of the largest mass. A maximum so low that no width can compensate for it has no mass. The other
+    masses are found by importance sampling of P itself: `draws` draws from the Gaussian of each maximum and as
+    many from a Gaussian of twice its width, all weighted by the density of their mixture, and divided among the
+    maxima in proportion to exp(m).
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def mode_weights(
     rng : Generator
     draws : int
     basins : sequence of Quadratic, optional
-        Models that divide the draws among the maxima; `maxima` then only propose the draws
+        Models that divide the draws among the maxima; the models of `maxima` are then only proposals
         (`fmu.analysis.maxima.kinds.basin`).
 
     Returns
@@ -124,7 +124,7 @@ def _importance(
 
 
 def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
-    """Return the mass and moments of P around each maximum; None if no draw has a finite log-probability."""
+    """Return the mass and the moments of P around each maximum; None if no draw has a finite log-probability."""
     belongs = log_shares(maxima, u)
     return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 

@@ -1,4 +1,4 @@
-"""Adapter of a plain log-density for the search for maxima: starts, gradients, and doubts about the result."""
+"""Adapter of a plain log-density for the search for maxima: starting points, gradients, and doubts that remain."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
-    """Return the result of a density as floats; ValueError unless it has real numbers and this shape."""
+    """Return the result of a density as floats; raise ValueError unless it has real numbers and this shape."""
     array = np.asarray(got)
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise ValueError(
@@ -34,7 +34,7 @@ def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def _tell_where(theta: FloatArray) -> Iterator[None]:
-    """Add the point of the evaluation to an error that a density raises; the error itself is unchanged."""
+    """Add a note with the point of evaluation to any error that a density raises, and raise it again."""
     try:
         yield
     except NotImplementedError:
@@ -48,7 +48,7 @@ def _tell_where(theta: FloatArray) -> Iterator[None]:
 _STEP = 1e-5
 """Step of the differences that replace a missing gradient, in scaled coordinates."""
 _DECADES = (-1.0, 2.0)
-"""Decimal logarithms of the starts' distances from the given start, scaled, without bounds or a prior."""
+"""Decimal logarithms of the distances of starting points from the given one, without bounds or a prior; scaled."""
 
 
 class PlainDensity:
@@ -65,7 +65,7 @@ class PlainDensity:
     Attributes
     ----------
     region : str
-        The region of the starts of the search, in words.
+        Where the starting points of the search are drawn from, in words.
     is_bounded : bool
         Whether bounds or a prior limit the region of the maxima.
     """
@@ -95,7 +95,11 @@ class PlainDensity:
         )
 
     def starting_points(self, starts: int, seed: int) -> FloatArray:
-        """Return the starts of the ascents, shape (starts, ndim): the given start, then points of the region."""
+        """Return the starting points of the ascents, shape (starts, ndim).
+
+        The first is the given starting point; the others are drawn from the prior, within the bounds, or around
+        it.
+        """
         from scipy.stats import qmc
 
         rng, more = np.random.default_rng(seed), starts - 1
@@ -122,7 +126,10 @@ class PlainDensity:
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return the log-density and its gradient, exact or by differences; low and flat where not finite."""
+        """Return the log-density and its gradient, exact or by central differences.
+
+        Where they are not finite, the value is low and the gradient zero.
+        """
         points = np.atleast_2d(theta)
         if self._has_gradient:
             count_solves(len(points), with_gradients=True)
@@ -154,7 +161,7 @@ class PlainDensity:
         return True
 
     def search_in_words(self, found: Sequence[Maximum]) -> str:
-        """Return a clause with the number of starts, their region, and the number of maxima."""
+        """Return a clause with the number of starting points, their region, and the number of maxima."""
         n = len(found)
         climbed = sum(m.starts for m in found)
         return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"
@@ -162,9 +169,9 @@ class PlainDensity:
     def doubts(self, best: Maxima, found: Sequence[Maximum], is_spent: bool) -> tuple[str, ...]:
         """Return reasons why the search does not exclude other maxima, one sentence each; empty without doubts.
 
-        If two or more starts fell into the basin of every maximum, hardly any further start would fall into
-        another basin (Good 1953, Biometrika 40, 237-264). If a maximum was reached from one start alone, others
-        may well be missed.
+        If every maximum was reached from two or more starting points, hardly any further starting point would lead
+        to another maximum (Good 1953, Biometrika 40, 237-264). If a maximum was reached from one only, others may
+        well be missed.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 TYPICAL_POINT = {"maxima": "typical point"}
-"""Description of the starts of chains on a hierarchical posterior, for the configuration of a run."""
+"""Description of chains that start at the typical point of a hierarchical posterior, for a run's configuration."""
 MOST_SHOWN = 6
 """Largest number of maxima shown side by side."""
 _PROBABLE = ("log-probability", "share of probability", "starts")
@@ -66,7 +66,7 @@ class PosteriorMaximum:
     ----------
     theta : ndarray, shape (ndim,)
     log_prob : float
-        Log-probability, as ``problem.log_prob``.
+        Log-probability, as returned by ``problem.log_prob``.
     frequencies : ndarray, shape (n_modes,)
         Computed frequencies in Hz, paired with the measured modes.
     starts : int
@@ -88,7 +88,7 @@ class PosteriorMaximum:
     share : float
         Ratio of this mass to the total mass of all maxima found.
     kind : str
-        ``"maximum"``: the gradient vanishes, or bounds are active; ``"kink"``, where the gradient turns;
+        ``"maximum"``: the gradient vanishes, or bounds are active; ``"kink"``, where the gradient changes sign;
         ``"jump"``, where log P falls; ``"edge"``, beyond which the model has no solution; ``"slope"``, where the
         search ended without a maximum.
     slope : float
@@ -117,7 +117,7 @@ class PosteriorMaximum:
 
     @property
     def is_maximum(self) -> bool:
-        """Whether log P rises in no direction from this point."""
+        """Whether this point is a maximum or a kink, from which log P rises in no direction."""
         return self.kind in (MAXIMUM, KINK)
 
     @property
@@ -142,7 +142,7 @@ class Maxima:
     measured, before : ndarray, shape (n_modes,)
         Measured frequencies, and frequencies of the model before updating, Hz.
     n_solves, n_gradients : int
-        Number of model solves for the search and the masses, and number of them with an exact gradient; 0 if
+        Number of model solves for the search and the masses, and how many of them had an exact gradient; 0 if
         unknown.
     search : str
         Where the search of a plain density began and what it found, in words; empty for an updating problem.
@@ -151,7 +151,7 @@ class Maxima:
         as a search can.
     level : float
         The third-highest log-density at points scattered over the region in which a plain density was searched. If
-        draws lie above this level, the points are too sparse to find another such narrow mode.
+        draws lie above this level, the points are too sparse to find another mode as narrow as this one.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -242,9 +242,9 @@ class Maxima:
         )
 
     def drop(self, theta: FloatArray) -> FloatArray:
-        """Return the fall of each maximum's quadratic model from its peak to theta (n, ndim), (maxima, n).
+        """Return the drop of each maximum's quadratic model from its peak to theta (n, ndim), shape (maxima, n).
 
-        The fall is infinite for maxima so low that they have no mass: an ascent may have ended on a slope there.
+        The drop is infinite for maxima so low that they have no mass: an ascent may have ended on a slope there.
         """
         models = [
             basin(Quadratic(m.theta, m.log_prob, m.gradient, m.hessian), m.kind, m.at_bound) for m in self.maxima
@@ -291,11 +291,11 @@ class Maxima:
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
 
     def title(self, k: int) -> str:
-        """Return the title of the maximum with index `k`: ``"maximum 1"``, or ``"jump 2"`` if it is no maximum."""
+        """Return the title of the maximum with index `k`: ``"maximum 1"``, or ``"jump 2"`` if it is none."""
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
     def no_maxima(self) -> list[str]:
-        """Return a sentence for each of the highest points at which the search ended without a maximum."""
+        """Return a sentence for each of the highest points where the search ended without reaching a maximum."""
         return [
             f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
             f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"

@@ -1,4 +1,4 @@
-"""Search for all maxima of the posterior from many starts, with the curvature and the mass of each."""
+"""Search for all maxima of the posterior from many starting points, with the curvature and the mass of each."""
 
 from __future__ import annotations
 
@@ -31,16 +31,22 @@ if TYPE_CHECKING:
 
 
 STARTS = 256
-"""A start costs about a millisecond, and nothing can warn of a maximum that was not found."""
+"""Default number of starting points.
+
+Each costs about a millisecond, and nothing can warn of a maximum that was not found."""
 STARTS_WITHOUT_DERIVATIVES = 16
-"""A start costs some hundred calls of the user's function, which may be a finite-element program."""
+"""Number of starting points without derivatives.
+
+Each costs some hundred calls of the user's function, which may be a finite-element program."""
 STARTS_IF_SLOW = 64
-"""A start costs about a hundred solves of a large model, not reduced or reduced to at least `_MANY` unknowns."""
+"""Number of starting points for a large model that is not reduced, or is reduced to at least `_MANY` unknowns.
+
+Each costs about a hundred solves."""
 _MANY = 128
 STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
-"""Starts for a plain log-density with gradients, and evaluations after which no further start is used."""
+"""Number of starting points for a plain log-density with gradients, and of evaluations that end the search."""
 SCATTERED = 16
-"""Number of points per start at which a plain log-density is evaluated, to see how densely they lie."""
+"""Number of points per starting point at which a plain log-density is evaluated, to see how dense they are."""
 _MOST_PLACES = 8
 """Largest number of maxima of a plain log-density whose curvature and mass are computed."""
 _WEIGHING, _OF_SEARCH, _FEWEST_DRAWS = 1, 0.5, 8
@@ -65,7 +71,10 @@ def _is_slow(problem: UpdatingProblem) -> bool:
 
 
 def is_searchable(problem: LogDensity) -> bool:
-    """Return True if `find_map` can search the density: not a population's, whose maximum is far from its mass."""
+    """Return True if `find_map` can search the density.
+
+    It cannot search that of a population, whose maximum is far from its probability mass.
+    """
     return not getattr(problem, "is_hierarchical", False)
 
 
@@ -75,27 +84,28 @@ def find_map(
 ) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
-    This is updating to a single parameter vector. It also checks what no sampler can check by itself: whether the
+    This is updating to a single parameter vector. It also shows what no sampler can show by itself: whether the
     posterior has other maxima, and how much probability they hold. The result is cached with the problem, so that
-    a second search with the same number of starts and the same seed costs nothing.
+    a second search with the same number of starting points and the same seed costs nothing.
 
     For a function without derivatives that takes 0.05 s or longer, the search takes about as many solves as
-    building a surrogate, unless `starts` is given; `Maxima.doubts` then states after how many starts the search
-    ended.
+    building a surrogate, unless `starts` is given; `Maxima.doubts` then states after how many starting points the
+    search ended.
 
-    For any other log-density, the starts are drawn from its prior (``sample_prior``), or within its bounds. A
-    density with neither is searched around its start, which excludes no other maxima; `Maxima.doubts` and the
-    verdict on a run state this. A maximum that attracts fewer than one start in `starts` may be missed.
+    For any other log-density, the starting points are drawn from its prior (``sample_prior``), or within its
+    bounds. A density with neither is searched around its starting point, which excludes no other maxima;
+    `Maxima.doubts` and the verdict on a run state this. A maximum that attracts fewer than one in `starts`
+    starting points may be missed.
 
     Parameters
     ----------
     problem : LogDensity
     starts : int, optional
-        Number of optimiser starts; see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
-        maximum. The default is 256. It is 16 without derivatives, and 64 for a plain log-density and for a large
-        model that is not reduced, or is reduced to 128 or more unknowns.
+        Number of starting points of the optimiser; see `fmu.posterior.maxima.local_maxima`. Fewer are faster but
+        may miss a maximum. The default is 256. It is 16 without derivatives, and 64 for a plain log-density and
+        for a large model that is not reduced, or is reduced to 128 or more unknowns.
     seed : int
-        Seed of the starts and of the importance sampling.
+        Seed of the starting points and of the importance sampling.
 
     Returns
     -------
@@ -108,7 +118,7 @@ def find_map(
     ------
     ValueError
         If `starts` is not positive, `problem` is no log-density or has a population, or a plain log-density is
-        finite at none of the starts.
+        finite at none of the starting points.
     """
     if not is_searchable(problem):
         raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
@@ -123,7 +133,7 @@ def find_map(
 
 
 def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
-    """Return the maxima of an updating problem, found with about `most` solves at most."""
+    """Return the maxima of an updating problem, found with at most about `most` solves."""
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()
@@ -150,7 +160,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
-    """Return the maxima of a plain log-density, with the doubts that the search leaves."""
+    """Return the maxima of a plain log-density, with the doubts that remain after the search."""
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf
@@ -184,10 +194,11 @@ def _weigh(
     most: float = np.inf,
     draws: int = DRAWS,
 ) -> Maxima:
-    """Return the maxima with curvature and mass.
+    """Return the maxima with their curvature and mass.
 
-    The counts `solved` and `differentiated` are the solves and gradients before the search. With a limit `most` of
-    solves, the Gauss–Newton matrix is used as the curvature, and the remaining solves are used for the mass.
+    The counts `solved` and `differentiated` are the solves and gradients before the search. If the number of
+    solves is limited to `most`, the Gauss–Newton matrix is used as the curvature, and the remaining solves are
+    used for the mass.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -279,8 +290,8 @@ _SMOOTH = 0.3
 def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = False) -> tuple[FloatArray, str]:
     """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and its source.
 
-    The Hessian is computed from differences of the exact gradient, one-sided at the bounds, with a step of a
-    twentieth of the width that a first attempt finds; negative eigenvalues are set to zero. Where modes swap, the
+    The Hessian is computed from differences of the exact gradient, one-sided at the bounds. Their step is a
+    twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero. Where modes swap, the
     gradient jumps, and differences with another step disagree. For errors in the modes the Gauss–Newton matrix is
     then used: JᵀJ of the residuals plus the curvature of the prior. It may be ten times too small if residuals are
     several standard deviations.
@@ -290,7 +301,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     problem : UpdatingProblem
     theta : ndarray, shape (ndim,)
     is_rough : bool
-        Whether the Gauss–Newton matrix suffices if there is one: it takes one gradient.
+        Whether the Gauss–Newton matrix, which takes one gradient, suffices if there is one.
 
     Returns
     -------

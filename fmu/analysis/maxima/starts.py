@@ -1,4 +1,4 @@
-"""Starts of chains around the maxima of a posterior: in proportion to their shares, and overdispersed."""
+"""Starting points of chains around the maxima of a posterior: in proportion to their shares, and overdispersed."""
 
 from __future__ import annotations
 
@@ -26,20 +26,19 @@ if TYPE_CHECKING:
 
 
 DISPERSION = 2.0
-"""Ratio of the standard deviation of the starts around a maximum to that of the posterior there.
+"""Ratio of the standard deviation of the starting points around a maximum to that of the posterior there.
 
-Overdispersed chains must contract to the posterior before they agree, so that R-hat shows chains that have not
+Overdispersed chains must contract to the posterior before they agree, so that R-hat reveals chains that have not
 (Gelman & Rubin 1992, Statistical Science 7, 457-472, section 2.1). Twice the width is also used by the importance
-sampling, and is far less than the distance to another maximum. It cannot show a maximum that the search did not
-find; nor can starts from the prior, unless one of them falls into its basin.
-"""
+sampling, and is far less than the distance to another maximum. It cannot reveal a maximum that the search did not
+find; nor can starting points from the prior, unless one of them falls into its basin."""
 _HALVINGS = 30
 _SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 
 
 class Starts(NamedTuple):
-    """The starts of chains.
+    """The starting points of chains.
 
     Attributes
     ----------
@@ -47,7 +46,7 @@ class Starts(NamedTuple):
         Argument of `fmu.samplers.Run`: a word, or positions in SI units.
     word : {"maxima", "prior", "start", "array"}
     origin : str, ndarray or dict
-        Description of the starts for the configuration of a run.
+        Description of the starting points for the configuration of a run.
     """
 
     position: str | FloatArray
@@ -58,15 +57,15 @@ class Starts(NamedTuple):
 def choose_starts(
     density: LogDensity, init: str | ArrayLike, maxima: Maxima | None, chains: int, walkers: int, seed: int
 ) -> Starts:
-    """Return the starts of the chains.
+    """Return the starting points of the chains.
 
     Parameters
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
         For a hierarchical posterior, "maxima" means its typical point, or the prior if the model has a
-        discrepancy. For another density without `maxima`, it means the prior, or scattered points if there is no
-        prior, or if the density is not finite at some of its draws.
+        discrepancy. For another density without `maxima`, it means the prior. If there is no prior, or the density
+        is not finite at some of its draws, it means scattered points.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -96,14 +95,15 @@ def choose_starts(
 
 
 def _is_finite_in_prior(density: PlainDensity, seed: int) -> bool:
-    """Return True if a log-density is finite at its start and at all of some draws from its prior."""
+    """Return True if a log-density is finite at its starting point and at each of several draws from its prior."""
     return bool(np.all(np.isfinite(density.log_prob(density.starting_points(_SCATTERED, seed)))))
 
 
 def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
-    """Return `n` points (n, ndim) at which a log-density is finite: from its prior, its bounds, or wide.
+    """Return `n` points (n, ndim) at which a log-density is finite.
 
-    The points are chosen from a larger number. If too few of these are finite, points are repeated.
+    They are drawn from its prior, within its bounds, or widely around its starting point, and chosen from a larger
+    number. If too few of these are finite, points are repeated. Raise ValueError if none is.
     """
     theta = density.starting_points(_SCATTERED * n, seed)
     theta = theta[np.isfinite(density.log_prob(theta))]
@@ -113,9 +113,10 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 
 
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
-    """Return the maxima of a plain log-density if they are better starts than its prior, else None.
+    """Return the maxima of a plain log-density if they are better starting points than its prior, else None.
 
-    They are better with several maxima, or without a prior, if the mass is around the maxima, unlike in a funnel.
+    They are better if there are several or there is no prior, provided that the mass is around the maxima, unlike
+    in a funnel.
     """
     several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
     return maxima if maxima.are_weighed and (several or not has_prior(density)) else None
@@ -132,12 +133,12 @@ def middle(problem: Any) -> Quadratic:
 
 
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
-    """Draw the starts of all chains around the maxima, in proportion to the probability shares of the maxima.
+    """Draw the starting points of all chains around the maxima, in proportion to their shares of the probability.
 
-    Around each maximum the starts are drawn from its quadratic model of the log-probability, `DISPERSION` times as
-    wide as the posterior and truncated at the bounds. The model may be wrong so far out: a start with a
-    log-probability that is lower than on the surface of the ellipsoid, or not finite, is moved halfway towards the
-    maximum until it is high enough.
+    Around each maximum they are drawn from its quadratic model of the log-probability, `DISPERSION` times as wide
+    as the posterior and truncated at the bounds. That far out the quadratic model may be wrong. So any starting
+    point whose log-probability is not finite, or is below the level that encloses nearly all of the widened
+    Gaussian, is moved halfway to the maximum, repeatedly, until it is high enough.
 
     Parameters
     ----------
@@ -155,7 +156,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     Returns
     -------
     ndarray, shape (chains, ndim) or (chains, walkers, ndim)
-        Starts in SI units.
+        Starting points in SI units.
     """
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     share = np.array([m.starting_share for m in maxima])
@@ -168,7 +169,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
 
 
 def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
-    """Return starts for the walkers of one ensemble, shape (n, ndim); see `fmu.UpdatingProblem.walkers`."""
+    """Return starting points for the walkers of one ensemble, (n, ndim); see `fmu.UpdatingProblem.walkers`."""
     least = 2 * problem.ndim
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < least:
         raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
@@ -178,11 +179,12 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
-    """Return quadratics at the important maxima, scaled, and weights: half by shares, half equal.
+    """Return quadratic models at the important maxima, scaled, and their weights.
 
-    With these components a sampler can begin to adapt to the posterior. The first candidates around each maximum
-    then suffice to find its shape, and a share that was estimated far too low is noticed. Without `maxima`, the
-    single component is at the typical point of a hierarchical posterior.
+    Half of the weight is in proportion to the shares, half is equal. With these components a sampler can begin to
+    adapt to the posterior. The first candidates around each maximum then suffice to find its shape, and a share
+    that was estimated far too low is noticed. Without `maxima`, the single component is at the typical point of a
+    hierarchical posterior.
     """
     if maxima is None:
         return [middle(density)], np.ones(1)
@@ -206,10 +208,10 @@ def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic
 def allot_chains(share: FloatArray, n: int) -> IntArray:
     """Return the index of the maximum at which each of `n` chains starts, shape (n,), in ascending order.
 
-    The chains are allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the
-    shares. Before that, every maximum gets one chain, the largest shares first if there are too few chains. Maxima
-    with a share below 1 %, or below a tenth of 1/n, get none: a chain that never leaves such a maximum would be
-    out of proportion (`fmu.analysis.maxima.missed.compare_shares`).
+    Every maximum gets one chain, those with the largest shares first if there are too few chains. The others are
+    allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares. Maxima with
+    a share below 1 %, or below a tenth of 1/n, get none: a chain that never leaves such a maximum would be out of
+    proportion (`fmu.analysis.maxima.missed.compare_shares`).
 
     Parameters
     ----------
@@ -227,7 +229,7 @@ def allot_chains(share: FloatArray, n: int) -> IntArray:
 
 
 def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n: int) -> FloatArray:
-    """Return `n` starts around one maximum, shape (n, ndim), scaled."""
+    """Return `n` starting points around one maximum, shape (n, ndim), scaled."""
     temperature = DISPERSION**2
     u = model.proposal(scaled.lower, scaled.upper, temperature).draw(rng, n)
     rim = model.log_prob - temperature * float(gammaincinv(0.5 * scaled.ndim, NEARBY))

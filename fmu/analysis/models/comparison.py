@@ -1,4 +1,4 @@
-"""Comparison of models of the same data, by evidence and by modes that each model predicts from the others."""
+"""Comparison of models of the same data, by evidence and by their predictions of each mode from the others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CLEAR = 2.0
-"""Number of standard errors by which a difference must exceed 0 to be called clear."""
+"""A difference is called clear if it exceeds this number of standard errors."""
 NO_ESTIMATE = 'no sampler with an estimate of the evidence has drawn from it: sample with "mixture" or "tempering"'
 _HEADINGS = {
     "log_evidence": "log-evidence",
@@ -54,7 +54,7 @@ class ModelComparison:
     table : pandas.DataFrame
         One row per model, with the columns that `fmu.compare_models` describes.
     sentences : tuple of str
-        What the table says, and what it does not.
+        What the table shows, and what it does not.
     """
 
     table: pd.DataFrame
@@ -80,7 +80,7 @@ class ModelComparison:
 
 
 def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
-    """Compare models by one trace of each; see `fmu.compare_models`."""
+    """Compare models by one trace of each model; see `fmu.compare_models`."""
     if len(traces) < 2:
         raise ArgumentError("models", "must be two or more", len(traces))
     for name, trace in traces.items():
@@ -100,7 +100,7 @@ def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
 
 
 def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
-    """Raise ValueError unless all traces are of the same measured data, with densities in the same units."""
+    """Raise ValueError unless all traces have the same measured data, with densities in the same units."""
     first, *others = traces
     for name in traces:
         if not has(traces[name], "observed_data"):
@@ -119,7 +119,7 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
 
 
 def _data(trace: xr.DataTree) -> dict[str, object]:
-    """Return the measurements and the modes used, by their kinds, and the unit of the errors."""
+    """Return the measured data, the modes and quantities used, and the unit of the errors, by description."""
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())
     used = observed["used"].to_numpy().tolist() if "used" in observed else []
@@ -149,7 +149,7 @@ def _shorten(value: object) -> str:
 
 
 def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """Return the log-evidence with its standard error, NaN if unknown, and the reasons to doubt it."""
+    """Return the log-evidence with its standard error, NaN if unknown, and the reasons why it is unreliable."""
     if is_pseudo(trace):
         return (np.nan, np.nan), (PSEUDO,)
     found = found_evidences({name: trace}, {name: verdict}, maxima_of(trace))
@@ -161,7 +161,10 @@ def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[
 
 
 def common_modes(traces: Mapping[str, xr.DataTree]) -> dict[str, pd.DataFrame]:
-    """Return the rows of `fmu.leave_one_out` of each trace, of the modes that all models with a table predict."""
+    """Return the rows of `fmu.leave_one_out` for the modes that all models predict, by the name of the model.
+
+    Models without such a table are left out.
+    """
     tables = {name: kept_table(trace) for name, trace in traces.items()}
     known = {name: table for name, table in tables.items() if table is not None}
     if not known:
@@ -204,7 +207,10 @@ def _row(
 
 
 def standard_error(parts: ArrayLike) -> float:
-    """Return the standard error of a sum over modes, √(n var): Vehtari, Gelman & Gabry 2017, eq. (23)."""
+    """Return the standard error of a sum over modes, √(n var) (Vehtari, Gelman & Gabry 2017, eq. 23).
+
+    The result is NaN for fewer than two modes.
+    """
     values = np.asarray(parts, dtype=float)
     return float(np.sqrt(len(values) * np.var(values, ddof=1))) if len(values) > 1 else np.nan
 
@@ -266,7 +272,7 @@ def _of_evidences(table: pd.DataFrame) -> list[str]:
 
 
 def _times(log_ratio: float) -> str:
-    """Return ``"16 000 times"``, or a power of ten."""
+    """Return a ratio of probabilities as ``"16 000 times"``, or as a power of ten."""
     if log_ratio < np.log(1e6):
         ratio = np.exp(log_ratio)
         rounded = round(ratio, 1 - int(np.floor(np.log10(ratio))))

@@ -1,4 +1,4 @@
-"""Frequencies of modes that were not measured, or of a changed structure, with the error of the model."""
+"""Frequencies of unmeasured modes, or of a modified structure, with the error of the model."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def predict_modes(
     draws: Count = 400,
     seed: Seed = 1,
 ) -> pd.DataFrame:
-    """Predict the lowest frequencies of a structure, measured or not, as it is or changed.
+    """Predict the lowest frequencies of a structure, measured or not, as it is or modified.
 
-    The model is solved at draws of the posterior. With a discrepancy each mode has an error of its own, as a mode
-    has that was not measured: its parameters scatter by τ (kind "embedded"), or its frequency has an error σ of
-    which the part that all modes have in common is known as far as the data tell (kind "modes"). Measured modes
-    of the structure as it is are predicted better by `fmu.predict_frequencies`.
+    The model is solved at draws of the posterior. With a discrepancy each mode has its own error, like a mode
+    that was not measured. Its parameters scatter by τ (kind "embedded"), or its frequency has an error σ, whose
+    part common to all modes is known as far as the data determine it (kind "modes"). `fmu.predict_frequencies`
+    gives better predictions of the measured modes of an unmodified structure.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def predict_modes(
     Returns
     -------
     pandas.DataFrame
-        One row per mode, Hz: ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` of the frequency, the error of the
-        model included, and ``model_sd``, ``model_eti90_lb`` and ``model_eti90_ub`` without it. They have no
-        measurement noise.
+        One row per mode, Hz: ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` of the frequency, including the error
+        of the model, and ``model_sd``, ``model_eti90_lb`` and ``model_eti90_ub`` without it. Measurement noise is
+        not included.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def predict_modes(
 
 
 def _index_of(problem: UpdatingProblem, test: str | None) -> int:
-    """Return the index of a test."""
+    """Return the index of a test, 0 for the only test if `test` is None. Raise ValueError if it does not exist."""
     names = [one.name for one in problem.tests]
     if test is None and len(names) == 1:
         return 0
@@ -105,7 +105,7 @@ def _index_of(problem: UpdatingProblem, test: str | None) -> int:
 
 
 def _factors(problem: UpdatingProblem, factors: Mapping[str, float]) -> FloatArray:
-    """Return the factor on each parameter of the structure, shape (p,)."""
+    """Return the factor on each structural parameter, shape (p,). Raise ValueError for an unknown parameter."""
     names = [p.name for p in problem.layout.structural]
     for name in factors:
         if name not in names:
@@ -137,7 +137,7 @@ def _with_errors(
     J: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return frequencies (n, m) with the errors of modes that were not measured."""
+    """Return the frequencies (n, m) with random errors, as for modes that were not measured."""
     at = problem.layout.of_model(theta)
     noise = theta[:, problem.n_structural :]
     of_modes = np.broadcast_to(values[:, None], (*f.shape, values.shape[1]))

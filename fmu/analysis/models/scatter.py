@@ -1,4 +1,4 @@
-"""Where the misfit of a wrong model lives, by the scatter of its parameters, and what allowing for it changes."""
+"""The scatter of a wrong model's parameters: which parts cause the misfit, and what allowing for it changes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
 NEEDED, NOT_NEEDED = 0.95, 0.25
-"""Probabilities of a scatter above 0 from which a group is said to need it, and below which it is said not to.
-A narrow posterior near 0 makes the latter no smaller than the ratio of its width to that of the prior."""
+"""A group is said to need a scatter from the first probability of τ > 0, and not to need it up to the second.
+If the posterior is narrow and near 0, this probability is still at least about the ratio of its width to that of
+the prior."""
 
 
 class Scatter(NamedTuple):
-    """The inferred scatter τ of one group of parameters over the modes; relative, or in units of the start.
+    """The inferred scatter τ of a group of parameters over the modes; relative, or in units of the starting value.
 
     Attributes
     ----------
@@ -33,7 +34,7 @@ class Scatter(NamedTuple):
     parameters : tuple of str
         The parameters that scatter.
     low, median, high : float
-        Quantiles 5 %, 50 % and 95 % of the posterior of τ.
+        The 5 %, 50 % and 95 % quantiles of the posterior of τ.
     prior_median : float
     needed : float
         Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`).
@@ -75,12 +76,13 @@ def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
 
 
 def needed_probability(draws: FloatArray, prior_sd: float) -> float:
-    """Return the probability of τ > 0 rather than τ = 0, both equally probable before the test.
+    """Return the probability of τ > 0 rather than τ = 0, if both were equally probable before the test.
 
     The Bayes factor is the Savage–Dickey ratio (Dickey 1971, *Ann. Math. Stat.* 42, 204–223) of the posterior and
     prior density at τ = 0. The likelihood depends on τ², so that both densities are even functions of τ; the
-    posterior density is a Gaussian kernel estimate of the draws and their mirror images. Where no draw is near 0,
+    posterior density is a Gaussian kernel estimate from the draws and their mirror images. If no draw is near 0,
     one more effective draw is assumed between 0 and the smallest draw, so that the probability is not overstated.
+    The result is NaN if the effective sample size is undefined.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def scatter_table(found: tuple[Scatter, ...]) -> pd.DataFrame:
 
 
 def scatter_words(found: tuple[Scatter, ...]) -> list[str]:
-    """Return sentences on where the misfit lives."""
+    """Return sentences on which groups of parameters need a scatter, and on which of them cause the misfit."""
     if not found:
         return []
     said = [_of_one(one) for one in found]
