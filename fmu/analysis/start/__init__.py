@@ -1,4 +1,4 @@
-"""What `fmu check` shows before sampling: model, modes at the start, gradient and prior prediction.
+"""The content of `fmu check`: the model, its modes at the starting point, the gradient, and the prior prediction.
 
 Reading order: initial_modes, pairing_doubts, gradient_check, prior_prediction, model_words, check.
 """

@@ -61,7 +61,7 @@ class Check:
         One row per parameter: ``unit``; ``start``, ``lower`` and ``upper`` in this unit; ``prior`` and ``changes``
         in words.
     modes : InitialModes
-        Computed modes at the start, paired with the measured ones.
+        Computed modes at the starting point, paired with the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
         None if the error model is not of modes (the modal residual), or the gradient is not finite.
@@ -74,21 +74,22 @@ class Check:
     colours : tuple of (str or None)
         For each parameter, the colour in the drawing of the elements that it changes.
     measurement : str
-        What a measured frequency is: ``"a measurement"``, or ``"the mean of 5 tests"``.
+        Description of a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``.
     tests : tuple of str
         Warnings about repeated tests, one sentence each.
     shapes : xarray.Dataset or None
-        The mode shapes at the start (`fmu.analysis.trace.modal_states.modal_states`); None without a drawing.
+        Mode shapes at the starting point (`fmu.analysis.trace.modal_states.modal_states`); None without a drawing.
     assumptions : Assumptions or None
         The assumptions of the posterior (`fmu.posterior.assumptions`).
     priors : tuple of str
-        Warnings about priors that hardly fit within their bounds, one sentence each.
+        Warnings about priors that hardly fit within their bounds, and about parameters without a purpose, one
+        sentence each.
     discrepancy : tuple of str
-        Warnings about discrepancies that have no effect or are alike, one sentence each.
+        Warnings about discrepancies that have no effect or cannot be told apart, one sentence each.
     points : Matching or None
         The test points matched to nodes of the model; None if no coordinates were given.
     frfs : MeasuredFRFs or None
-        Measured frequency response functions beside those of the model at the start; None if there are none.
+        Measured FRFs, and those of the model at the starting point; None if there are none.
     """
 
     name: str
@@ -137,7 +138,7 @@ class Check:
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
-        """Return the list of all findings: model, pairing, gradient, identifiability and prior prediction."""
+        """Return all findings as sentences: model, pairing, gradient, identifiability and prior prediction."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
         said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
         said += [*self.sensor_doubts, *self.tests]
@@ -186,7 +187,7 @@ class Check:
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
 
     def point_table(self) -> pd.DataFrame:
-        """Return the node and the distance of each test point as text, sorted by descending distance."""
+        """Return the node and the distance of each test point as text, in descending order of distance."""
         assert self.points is not None  # there are coordinates
         table = self.points.table().sort_values("distance", ascending=False, kind="stable").reset_index()
         lengths = {f"{key}, m": table[key].map(significant) for key in ("distance", "spacing")}
@@ -253,7 +254,7 @@ class Check:
 
 
 _WORDS = ("", "FRF", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
-"""Columns of text, which are aligned left."""
+"""Headings of columns with text, which are aligned left."""
 
 
 def _shorten(block: Block) -> Block:
@@ -296,7 +297,7 @@ def check(
     Raises
     ------
     ValueError
-        If `problem` is not an updating problem, `draws` is less than 2, or the model fails at the start values.
+        If `problem` is not an updating problem, `draws` is less than 2, or the model fails at the starting point.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -335,7 +336,7 @@ def check(
 
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
-    """Return a sentence on the parameters that are not updated and do not scatter; an empty list without them."""
+    """Return a sentence on the parameters that are neither updated nor scatter, in a list; empty without any."""
     likelihood, scattered = problem.likelihood, list[int]()
     if isinstance(likelihood, DiscrepantLikelihood):
         scattered = likelihood.errors.scattered.tolist()
@@ -348,7 +349,7 @@ def _without_purpose(problem: UpdatingProblem) -> list[str]:
 
 
 def _tolerance(problem: UpdatingProblem) -> float | None:
-    """Return the largest relative frequency error allowed to the reduced model; None without a reduced model."""
+    """Return the largest relative frequency error allowed in the reduced model; None if it is not reduced."""
     return None if problem.tolerance is None else problem.tolerance.frequency
 
 

@@ -1,4 +1,4 @@
-"""The exact gradient of a log-probability compared with differences of the log-probability."""
+"""The exact gradient of a log-probability, compared with differences of the log-probability."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class GradientCheck:
         Descriptions of the points.
     theta : ndarray, shape (n, ndim), SI units
     exact, difference : ndarray, shape (n, ndim)
-        ∂log P/∂u with u = (θ − offset)/scale; the differences with the step that agrees best.
+        ∂log P/∂u with u = (θ − offset)/scale; the differences have the step that agrees best.
     """
 
     names: tuple[str, ...]
@@ -48,7 +48,7 @@ class GradientCheck:
 
     @property
     def relative_error(self) -> FloatArray:
-        """Difference of each gradient component over the size of the gradient at the point, shape (n, ndim).
+        """Error of each gradient component relative to the size of the gradient at the point, shape (n, ndim).
 
         The size is the largest absolute component at the point. It is at least a thousandth of the largest at any
         point, because the gradient vanishes near a maximum, and at least 1.
@@ -68,7 +68,7 @@ class GradientCheck:
         return self.largest <= AGREE
 
     def sentence(self) -> str:
-        """Return the sentence that says how well gradient and differences agree, and where they differ most."""
+        """Return a sentence on how well gradient and differences agree, and where they differ most."""
         errors = self.relative_error
         if not np.all(np.isfinite(errors)):
             i, j = np.argwhere(~np.isfinite(errors))[0]
@@ -96,7 +96,7 @@ class GradientCheck:
 
 
 def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
-    """Compare the gradient with central differences at the start and at two random points of the prior.
+    """Compare the gradient with central differences at the starting point and at two random draws from the prior.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Computed modes of a model at the start, their pairing with the measured modes, and warnings on this pairing."""
+"""Computed modes of a model at the starting point, their pairing with the measured modes, and warnings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _SEEN = 1e-3
 _MOST_TESTS = 5
-"""Tests whose warnings are given in full."""
+"""Largest number of tests whose warnings are given in full."""
 _BEYOND = 2
 
 
@@ -47,7 +47,7 @@ class InitialModes:
     mac : ndarray, shape (n_modes, n_computed), or None
         MAC between measured and computed shapes at the sensors; None if no shapes were measured.
     doubts : tuple of str
-        Warnings on the pairing, one sentence each.
+        Warnings about the pairing, one sentence each.
     notes : tuple of str
         Further remarks on the pairing.
     correlation : Correlation or None
@@ -113,7 +113,7 @@ class InitialModes:
 
 
 def initial_modes(problem: UpdatingProblem) -> InitialModes:
-    """Solve the full model of a problem at its start and return its modes, paired with the measured ones.
+    """Solve the full model of a problem at its starting point; return its modes, paired with the measured ones.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
 
 
 def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
-    """Return the warnings about shapes and sensors of each of several tests, of a few of them at most."""
+    """Return warnings about the shapes and sensors of each of several tests, for at most `_MOST_TESTS` tests."""
     model = problem.model
     if model.n_tests == 1 or problem.data.shapes is None or not model.gives_shapes:
         return []
@@ -205,7 +205,7 @@ def _of_function(
     labels: tuple[str, ...],
     measured: FloatArray,
 ) -> InitialModes:
-    """Return all modes that a function computes, in the order of the function, and their pairing."""
+    """Return the modes that a function computes, in its own order, and their pairing."""
     answer = function.at(point)
     alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
@@ -230,14 +230,14 @@ def _of_function(
 
 
 def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
-    """Return the correlation of the measured shapes with the paired computed shapes, (n_sensors, n_modes)."""
+    """Compare the measured shapes with the paired computed shapes, (n_sensors, n_modes)."""
     sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)
     return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
 
 
 def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
-    """Return `found` with the MPC, and with the warnings and notes from the comparison of the shapes."""
+    """Return `found` with the MPC, and with the warnings and notes from comparing the shapes."""
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
@@ -276,7 +276,7 @@ def _find_seen(
 
 
 def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> list[str]:
-    """Return for each mode the two directions with the largest shares of its kinetic energy, in words.
+    """Return a description of the two directions with the largest shares of each mode's kinetic energy.
 
     The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. The terms of M that couple directions,
     such as displacement and rotation in a consistent mass matrix, are assigned to neither: φ_dᵀ (Mφ)_d, which

@@ -1,4 +1,4 @@
-"""Measured frequency response functions, and the same functions of the model before updating."""
+"""Measured frequency response functions, compared with the model before updating."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFRFs:
-    """Measured frequency response functions, and the same functions of the model before updating.
+    """Measured frequency response functions, with the same functions computed by the model before updating.
 
     Attributes
     ----------
@@ -35,31 +35,31 @@ class MeasuredFRFs:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on signs of a wrong kind, polarity or place of a measurement."""
+        """Warnings of measurements that may have the wrong kind, polarity or position, one sentence each."""
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.doubts())
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was converted, dropped or assumed, one sentence each."""
+        """Notes on data that were converted, dropped or assumed, one sentence each."""
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.notes)
 
     def table(self) -> pd.DataFrame:
-        """Return one row of text per function: lines in use, relative error, and agreement with the model."""
+        """Return one row of text per FRF: lines in use and held out, relative error, and FRAC with the model."""
         names = [f"{one.of_test}{label}" for one in self.tests for label in one.data.labels]
         return data_frame([row for one in self.tests for row in one.rows()], "FRF", names)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredInTest:
-    """The measured functions of a test, and the same functions of the model before updating.
+    """The measured functions of a test, with the same functions computed by the model before updating.
 
     Attributes
     ----------
     of_test : str
-        What the names of the functions begin with: the test and a colon, or nothing for a single test.
+        Prefix of the names of the functions: the test and a colon, or nothing for a single test.
     data : FRFData
     computed : ndarray of complex, shape (n_frfs, n_lines)
-        In the units of the data; NaN at lines that are neither used nor test the updated model.
+        In the units of the data; NaN at lines that are neither used nor held out.
     """
 
     of_test: str
@@ -68,7 +68,7 @@ class MeasuredInTest:
 
     @classmethod
     def of(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
-        """Return the measured functions of `term`, and the model's at the parameters (1, n_own) of `term`."""
+        """Return the measured functions of `term`, and the model's at the parameters (1, n_own) of this term."""
         there = term.data.used | held_out(term.data)
         computed = np.full(there.shape, np.nan, dtype=complex)
         computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]
@@ -97,6 +97,6 @@ class MeasuredInTest:
 
 
 def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
-    """Return the measured functions of a problem beside the model's at the start; None if there are none."""
+    """Return the measured FRFs of a problem and the model's at the starting point; None if there are none."""
     found = tuple(MeasuredInTest.of(*one) for one in problem.responses_at(problem.start[None]))
     return MeasuredFRFs(found) if found else None

@@ -27,7 +27,7 @@ _SAME_MASS = 1.1
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Return a list of sentences on the model of a problem: its size, decoupled blocks, mass and reduced model."""
+    """Return sentences on the model of a problem: its size, decoupled blocks, mass and reduced model."""
     model = structure_of(problem.model)
     if len(problem.tests) > 1:
         n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))
@@ -58,7 +58,7 @@ def _describe_held(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes.
+    """Return one row per parameter: unit, starting value, bounds, prior in words, and the matrices it changes.
 
     The scores of tests in a population are omitted, because all of them are standard normal.
     """
@@ -82,7 +82,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def _beside_structure(problem: UpdatingProblem, k: int) -> str:
-    """Return the quantity outside the structure that the k-th parameter (from 0) changes; empty for none."""
+    """Return the quantity outside the structure that the k-th parameter (from 0) changes; else empty."""
     roles = {
         p.name: role
         for term in problem.likelihood.responses
@@ -108,7 +108,7 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
 
 
 def _find_listed(problem: UpdatingProblem) -> list[int]:
-    """Return the indices of all parameters except the scores of tests."""
+    """Return the indices of all parameters except the scores of tests in a population."""
     return [k for k, role in enumerate(problem.roles) if role.kind != "score"]
 
 

@@ -1,4 +1,4 @@
-"""Warnings and notes on the pairing of computed with measured modes."""
+"""Warnings about the pairing of computed with measured modes, and notes on it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.numbers import apart, fixed, share
 from fmu.types import BoolArray, FloatArray
 
 RIVAL = 0.1
-"""The MAC of the paired mode must exceed the MAC of any other mode by this much."""
+"""The MAC of the paired mode should exceed the MAC of any other mode by this much."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings on measured shapes that match no computed mode, or two, by MAC (n_modes, n_computed).
+    """Return warnings about measured shapes that match no computed mode, or two, by MAC (n_modes, n_computed).
 
     Close modes whose subspace matches the measured one are skipped.
     """
@@ -72,7 +72,10 @@ def unlike(
 def close(
     labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
-    """Return warnings on close computed modes; unless paired by number, only on those that move a sensor."""
+    """Return warnings about close computed modes.
+
+    Unless modes are paired by number, close modes that move no sensor are ignored.
+    """
     doubts, told = [], set()
     for k, column in enumerate(paired):
         for other in (column - 1, column + 1):
@@ -90,7 +93,7 @@ def close(
 
 
 def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
-    """Return a warning if the paired modes are not in the order of the measured frequencies."""
+    """Return a list with a warning if the paired modes are not in the order of the measured frequencies."""
     order = np.argsort(measured, kind="stable")
     numbers = [paired[k] for k in order]
     if numbers == sorted(numbers):

@@ -47,7 +47,7 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """The frequencies; NaN if there are fewer than two draws, which have no standard deviation."""
+        """The frequencies; NaN if there are fewer than two draws, whose standard deviation is undefined."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 
@@ -68,7 +68,7 @@ class PriorPrediction:
 
     @property
     def distance(self) -> FloatArray:
-        """Distance of the measured frequency above the mean prediction, in standard deviations, (n_modes,)."""
+        """Measured frequency minus the mean prediction, in standard deviations, (n_modes,)."""
         return np.asarray((self.measured - self.mean) / self.sd)
 
     @property
@@ -151,7 +151,10 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
 def _noise_sd(
     problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the standard deviations of the frequency errors, (n_modes,), over the prior if they are inferred."""
+    """Return the standard deviations of the frequency errors, (n_modes,), averaged over the prior if inferred.
+
+    They are NaN if the error model has no errors of frequencies.
+    """
     if problem.likelihood.error is not None:
         return np.asarray(problem.likelihood.error.sd)
     if len(frequencies) and problem.likelihood.simulates:

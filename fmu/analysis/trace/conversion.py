@@ -1,7 +1,7 @@
 """Conversion of a sampler's run to an ArviZ trace, and storage of traces in netCDF files.
 
-All samplers use the same conversion, so that all traces have the same groups, names and dimensions
-``(chain, draw, *)``. The draw dimension of an ensemble holds steps x walkers, step-major; the number of walkers is
+All samplers use the same conversion, so that all traces have the same groups, names and dimensions ``(chain, draw,
+*)``. The draw dimension of an ensemble has the length steps x walkers and is step-major; the number of walkers is
 an attribute of the trace.
 """
 
@@ -68,12 +68,12 @@ def to_trace(
         The density that was sampled. An `UpdatingProblem` gives all groups below. A plain log-density gives only
         the groups without frequencies; its parameters are called ``x0``, ``x1``, ... if it has no names.
     start : ndarray or mapping, optional
-        The starts of the chains, if ``result.init`` does not define them: the positions given by the user, or the
-        maxima. They are part of the configuration and its hash.
+        The starting points of the chains, if ``result.init`` does not define them: the positions given by the
+        user, or the maxima. They are part of the configuration and its hash.
     predictions : bool
         Whether to solve the model at the draws for the groups that need frequencies.
     draws_only : bool
-        Whether to leave out all groups that follow from the draws; the convergence can be judged without them.
+        Whether to leave out all groups that follow from the draws. Convergence can be judged without them.
     frequency : ndarray, shape (chains, draws, n_modes), Hz, optional
         The computed frequencies at the draws, if they are known.
 
@@ -84,7 +84,7 @@ def to_trace(
 
         - ``posterior`` and ``warmup_posterior``: one variable per parameter, SI units;
         - ``sample_stats`` and ``warmup_sample_stats``: statistics of the sampler;
-        - ``log_likelihood``: ``frequency``, or ``residual`` under the modal residual, one term per mode; with
+        - ``log_likelihood``: ``frequency``, or ``residual`` under the modal residual, one value per mode; with
           correlated errors also ``frequency_given_others``;
         - ``misfit``: see `fmu.analysis.trace.misfit`;
         - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
@@ -133,7 +133,7 @@ def to_trace(
 def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """Write a trace to a netCDF file; if the writing fails, no incomplete file is left.
 
-    The content is made in memory first, because the HDF5 library cannot close a file if the disk is full.
+    The content is first created in memory, because the HDF5 library cannot close a file if the disk is full.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 
 
 def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
-    """Return a dict of all traces of a run, in the order of `fmu.samplers.registry.SAMPLERS`, then by name.
+    """Return all traces of a run by name, in the order of `fmu.samplers.registry.SAMPLERS`, then alphabetically.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, .
 
 
 def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
-    """Return a dataset of the sampler's statistics, without the log-likelihoods of rungs.
+    """Return a dataset of the sampler's statistics, without the log-likelihoods at the rungs of a ladder.
 
     The weights P/q of a mixture are converted to a density in SI units.
     """
@@ -242,7 +242,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return a dataset of the bounds, the start vector and the weights of the measured frequencies."""
+    """Return a dataset of the bounds, the starting point and the weights of the measured frequencies."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}
@@ -335,7 +335,7 @@ def _frequency_groups(
 
 
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
-    """Return the groups of a trace that describe each test and the next test."""
+    """Return the groups of a trace that describe each test, and the next test."""
     import xarray as xr
 
     from fmu.analysis.fit.populations import GROUP, population_group
@@ -380,5 +380,8 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
 
 
 def _stack_terms(terms: FloatArray, squares: FloatArray) -> FloatArray:
-    """Return terms (n, n_modes) and squares (n, n_kinds, n_modes) as one array, (n, 1 + n_kinds, n_modes)."""
+    """Return terms (n, n_modes) of the log-likelihood and squares (n, n_kinds, n_modes) as one array.
+
+    Its shape is (n, 1 + n_kinds, n_modes).
+    """
     return np.concatenate([terms[:, None], squares], axis=1)

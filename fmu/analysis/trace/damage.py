@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     import xarray as xr
 
 BY_TEST = "loss_by_test"
-"""Group of a trace with the losses in each test, from an unknown date on."""
+"""Group of a trace with the losses in each test, for damage at an unknown date."""
 ANY = "any"
 """Name of the row with the largest loss in a state."""
 WITHHELD = "withheld"
-"""A probability that is not given, and the attribute of a table with the reason."""
+"""Text for a probability that is not given, and the attribute of a table with the reason."""
 
 
 def probably(p: float) -> str:
     """Return a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``.
 
-    NaN, a probability that is not given, is ``"withheld"``.
+    NaN stands for a probability that is not given, and is written as ``"withheld"``.
     """
     if np.isnan(p):
         return WITHHELD
@@ -52,8 +52,8 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
         One row for each state and parameter, and one row per state named ``"any"`` for the largest loss of all
         parameters. The columns are ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` (the central 90 %), and
         ``P(loss > 5 %)`` and so on for each value of `beyond`. These probabilities are NaN if the tests contradict
-        the law of a parameter, such as its dependence on temperature, because the losses then include what the
-        law leaves out; ``attrs["withheld"]`` of the table has the reason.
+        the law of a parameter, such as its dependence on temperature, because the losses then include effects
+        that the law omits; ``attrs["withheld"]`` of the table has the reason.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -
 
 
 def _reason_to_withhold(trace: xr.DataTree) -> str:
-    """Return the reason why the probabilities of losses are not given, in a sentence; else an empty string."""
+    """Return a sentence on why the probabilities of losses are withheld; empty if they are not."""
     contradicted = contradicted_laws(trace)
     if not contradicted:
         return ""
@@ -129,9 +129,9 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the posterior means, in SI units, of every parameter that may have lost a share, before and after.
+    """Return the posterior means before and after, SI units, of every parameter that may have lost a share.
 
-    The value before is the mean over the tests in the reference.
+    The value before is the mean over the tests of the reference state.
 
     Returns
     -------

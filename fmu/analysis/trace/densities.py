@@ -46,6 +46,6 @@ def units_of(density: LogDensity) -> tuple[str, ...]:
 
 
 def start_of(density: LogDensity) -> FloatArray | None:
-    """Return the start vector, shape (ndim,); None if the density has no start."""
+    """Return the starting point, shape (ndim,); None if the density has none."""
     start = getattr(density, "start", None)
     return None if start is None else np.asarray(start, dtype=float)

@@ -13,16 +13,16 @@ from fmu.types import FloatArray, IntArray
 BATCH = 4096
 """Largest number of draws passed to the model at a time, which bounds the memory of one batched solve."""
 _NUMBERS = 2**18
-"""Largest number of parameters of such draws together: many tests have many."""
+"""Largest number of parameters of these draws together, because a problem of many tests has many of them."""
 
 
 def batch_of(theta: FloatArray) -> int:
-    """Return the number of draws (n, ndim) to evaluate at a time."""
+    """Return the number of draws to evaluate at a time, given all draws (n, ndim)."""
     return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
 
 
 def evaluate_in_parts(function: Callable[..., FloatArray], theta: FloatArray, *others: FloatArray) -> FloatArray:
-    """Return ``function(theta, *others)`` of arrays with n rows, computed for a batch of rows at a time."""
+    """Return ``function(theta, *others)`` for arrays with n rows, computed for a batch of rows at a time."""
     n, batch = len(theta), batch_of(theta)
     parts = [slice(k, k + batch) for k in range(0, max(n, 1), batch)]
     return np.concatenate([function(*(x[part] for x in (theta, *others))) for part in parts])
@@ -35,7 +35,7 @@ class DistinctDraws:
     Attributes
     ----------
     theta : ndarray, shape (n, ndim)
-        Draws that differ from their predecessor in the same chain (in the same walker of an ensemble).
+        Draws that differ from the previous draw of the same chain (or of the same walker of an ensemble).
     inverse : ndarray of int, shape (chains, draws)
         Row index into `theta` for each draw.
     """
@@ -50,7 +50,7 @@ class DistinctDraws:
         Parameters
         ----------
         position : ndarray, shape (chains, steps * walkers, ndim)
-            Positions in step-major order: the next draw of a walker lies `walkers` rows further on.
+            Positions in step-major order: the next draw of a walker is `walkers` rows further on.
         walkers : int
         """
         chains, draws, ndim = position.shape
@@ -66,9 +66,9 @@ class DistinctDraws:
         Parameters
         ----------
         function : callable
-            Maps (n, ndim) to (n, ...); called with at most `batch` rows, once for each distinct draw.
+            Maps (n, ndim) to (n, ...). It is called with at most `batch` rows, and once for each distinct draw.
         batch : int, optional
-            By default `batch_of` the draws.
+            Defaults to `batch_of` the draws.
         """
         batch = batch_of(self.theta) if batch is None else batch
         return np.concatenate(by_parts("predictions", function, self.theta, batch))[self.inverse]

@@ -15,7 +15,7 @@ from fmu.numbers import share
 from fmu.types import BoolArray, FloatArray
 
 _THINNED = 1.02
-"""More moves than this factor times the accepted proposals, plus one per walker: steps were not stored."""
+"""Steps were not stored if there are more moves than this times the accepted proposals, plus one per walker."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class StoredEnsemble:
 
     @classmethod
     def read(cls, source: Any, hdf_name: str) -> StoredEnsemble:
-        """Read the steps stored so far; raises the errors of `fmu.from_emcee`."""
+        """Read the steps stored so far. Raise the errors listed in `fmu.from_emcee`."""
         backend, where = _backend(source, hdf_name)
         steps = int(backend.iteration) if backend.initialized else 0
         if steps < 1:
@@ -69,9 +69,9 @@ class StoredEnsemble:
         return self.chain.shape[1], self.chain.shape[2]
 
     def find_moves(self, thin_by: int) -> BoolArray | None:
-        """Return whether each step moved each walker, (steps, walkers); None if some steps were not stored.
+        """Return whether each walker moved in each step, (steps, walkers); None if some steps were not stored.
 
-        Whether the first step moved a walker follows from the number of accepted proposals.
+        Whether a walker moved in the first step follows from the number of accepted proposals.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:
@@ -108,7 +108,7 @@ def _kind(blobs: NDArray[Any] | None) -> str:
 
 
 def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
-    """Return the backend of a source, and its location in words."""
+    """Return the backend of a source, and a description of its location."""
     from emcee.backends import Backend, HDFBackend
 
     if isinstance(source, str | os.PathLike):
@@ -128,7 +128,7 @@ def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
 
 
 def _require_steps(backend: Any) -> Any:
-    """Return an HDF backend whose file contains the run; ValueError if it does not."""
+    """Return the HDF backend. Raise ValueError unless its file contains the run."""
     try:
         with backend.open() as file:
             inside = sorted(file)
@@ -143,7 +143,10 @@ def _require_steps(backend: Any) -> Any:
 
 
 def _parameter_names(given: Any) -> tuple[str, ...]:
-    """Return a sampler's ``parameter_names``, in order; a name for several parameters is numbered."""
+    """Return a sampler's ``parameter_names``, in order of the parameters.
+
+    A name that stands for several parameters is numbered: ``"k[0]"``, ``"k[1]"``.
+    """
     if not given:
         return ()
     if not isinstance(given, dict):
@@ -156,6 +159,6 @@ def _parameter_names(given: Any) -> tuple[str, ...]:
 
 
 def _moves(source: Any) -> tuple[tuple[str, float], ...]:
-    """Return the names and weights of a sampler's moves."""
+    """Return the names and weights of a sampler's moves; empty if they are unknown."""
     pairs = zip(getattr(source, "_moves", ()), getattr(source, "_weights", ()), strict=False)
     return tuple((type(move).__name__, float(weight)) for move, weight in pairs)

@@ -55,9 +55,9 @@ def failures_csv(
     Returns
     -------
     str
-        One row per failed theta, ordered as `parts`: ``task``, ``phase`` and ``step`` as in `FailedSolves`; the
-        parameters in SI units, as ``E [Pa]``; ``reason``. Failures without a recorded theta are counted in a row
-        without parameters.
+        One row per failed theta, in the order of `parts`: ``task``, ``phase`` and ``step`` as in `FailedSolves`;
+        the parameters in SI units, as ``E [Pa]``; ``reason``. Failures without a recorded theta are counted in a
+        row without parameters.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -74,7 +74,7 @@ def failure_rate_exceeded(
     at_least: int = ENOUGH_SOLVES,
     failures: Sequence[Failure] = (),
 ) -> str | None:
-    """Return a message if too large a share of the solves failed; None if it is at most the limit.
+    """Return a message if too large a share of the solves failed, else None.
 
     Parameters
     ----------

@@ -66,20 +66,20 @@ def from_emcee(
         model, data and predictions. Leave it out if another log-probability was sampled, such as one with your own
         prior.
     names : sequence of str, optional
-        Names of the parameters; by default those of the problem, else ``parameter_names`` of the sampler, else
-        ``x0``, ``x1``, ...
+        Names of the parameters. Defaults to the names in the problem, else ``parameter_names`` of the sampler,
+        else ``x0``, ``x1``, ...
     discard : int or sequence of int
-        Number of stored steps at the beginning that are warm-up, as for ``sampler.get_chain``; one number, or one
+        Number of stored steps at the beginning that are warm-up, as in ``sampler.get_chain``; one number, or one
         for each ensemble. If different numbers of steps are left, the ensembles are aligned at their ends, and the
         longer ensembles have more warm-up.
     thin : int
-        Keep only every `thin`-th stored step, as for ``sampler.get_chain``.
+        Keep only every `thin`-th stored step, as in ``sampler.get_chain``.
     thin_by : int
         The ``thin_by`` of ``run_mcmc``. Backends do not store it; it is needed to count evaluations.
     hdf_name : str
         Name of the run within an HDF file.
     blob_names : sequence of str, optional
-        Names of blobs that have none: one name for all, or one for each column. By default ``blobs``.
+        Names of blobs that have none: one name for all, or one for each column. Defaults to ``blobs``.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it.
 
@@ -92,8 +92,8 @@ def from_emcee(
         group ``blobs``. The group ``emcee`` has ``acceptance_fraction`` (chain, walker) of all stored steps;
         ``autocorrelation_time`` (chain, parameter) by emcee's own function, in retained draws; ``stored`` and
         ``discard`` (chain). ``n_solves`` counts one evaluation per walker and step, and one at the start.
-        ``accepted`` is whether a stored step moved a walker, or the walker's acceptance fraction if not all steps
-        were stored. Times are unknown, and therefore NaN.
+        ``accepted`` tells whether a walker moved in a stored step, or is the walker's acceptance fraction if not
+        all steps were stored. Times are unknown, and therefore NaN.
 
     Raises
     ------
@@ -183,7 +183,7 @@ class Kept:
         return cls(draws, tuple(np.arange(stop - min(first), stop) for stop in first), first, thin)
 
     def evaluations(self, k: int, stored: int, thin_by: int) -> tuple[IntArray, IntArray]:
-        """Return the evaluations of each walker of ensemble `k` for every step of the warm-up and every draw.
+        """Return each walker's number of evaluations in ensemble `k`, for every warm-up step and for every draw.
 
         They add up to the number of all evaluations: one per step, and one at the start.
         """
@@ -195,7 +195,7 @@ class Kept:
 
 
 def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnsemble]) -> tuple[str, ...]:
-    """Return the names of the parameters; ValueError if they do not fit the stored chain, or disagree."""
+    """Return the names of the parameters. Raise ValueError if they disagree or do not fit the stored chain."""
     ndim, of_sampler = ensembles[0].shape[1], ensembles[0].names
     of_problem = () if problem is None else names_of(problem)
     found = (() if names is None else tuple(names)) or of_problem or of_sampler
@@ -214,7 +214,7 @@ def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnse
 
 
 def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
-    """Return the list of discarded steps of each ensemble."""
+    """Return the number of steps to discard from each ensemble."""
     each = list(discard) if isinstance(discard, Sequence | np.ndarray) else [discard] * n
     if len(each) != n:
         raise ValueError(f"discard: must be one number, or one for each of {n} ensembles (got {len(each)})")
@@ -264,13 +264,13 @@ def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunRes
 
 
 def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return arrays (steps, walkers, ...) of ensembles as one, (ensembles, steps * walkers, ...), step-major."""
+    """Stack arrays (steps, walkers, ...) of ensembles as (ensembles, steps * walkers, ...), step-major."""
     stacked = np.stack(each)
     return stacked.reshape(len(stacked), -1, *stacked.shape[3:])
 
 
 def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | None) -> dict[str, NDArray[Any]]:
-    """Return a dict of the blobs at the draws by name, each of shape (ensembles, draws, ...)."""
+    """Return the blobs at the draws by name, each of shape (ensembles, draws, ...)."""
     if ensembles[0].blobs is None:
         if names is not None:
             raise ValueError(f"blob_names: need blobs (got {list(names)}, and none are stored)")
@@ -301,9 +301,10 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
 def _check_log_prob(
     draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float
 ) -> FloatArray | None:
-    """Compare five draws with the problem; return its frequencies at all draws if they are among the blobs.
+    """Compare the log-probability at five draws with the problem, and return its frequencies at all draws.
 
-    The frequencies are removed from `blobs`. ValueError if a stored log-probability is not the computed one.
+    The frequencies are removed from `blobs`; None if they are not among the blobs. Raise ValueError if a stored
+    log-probability differs from the computed one.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()

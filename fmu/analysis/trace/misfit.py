@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 GROUP = "misfit"
 """Group of a trace that stores the squared residuals."""
 QUANTITIES = "quantities"
-"""Group of a trace with the data that are not of modes, such as a weighed mass."""
+"""Group of a trace with the data other than modes, such as a weighed mass."""
 TAILS = np.logspace(-6.0, 0.0, 121)
 """Upper tail probabilities at which quantiles of the prior of an inferred standard deviation are stored."""
 
@@ -38,12 +38,12 @@ def misfit_group(
     Returns
     -------
     mapping of str to xarray.Dataset
-        The group has ``squares`` (chain, draw, quantity, mode), Σ r² over the standardised residuals of a mode, a
-        chi-square variable with ``freedom`` (quantity) degrees of freedom if the model is correct. For inferred
-        standard deviations it has ``noise_isf`` (noise, tail), the value that the prior exceeds with the
-        probability ``tail``, and ``noise_of`` (noise), the quantities with these errors. Attributes: ``n_data``,
-        the number of independent measured values; ``other``, the quantities that are not in ``squares``, because
-        their residuals have another distribution.
+        The group has ``squares`` (chain, draw, quantity, mode), which is Σ r² over the standardised residuals of a
+        mode. It is a chi-square variable with ``freedom`` (quantity) degrees of freedom if the model is correct.
+        For inferred standard deviations the group has ``noise_isf`` (noise, tail), the value that the prior
+        exceeds with the probability ``tail``, and ``noise_of`` (noise), the quantities with these errors.
+        Attributes: ``n_data``, the number of independent measured values; ``other``, the quantities that are not
+        in ``squares``, because their residuals have another distribution.
     """
     import xarray as xr
 
@@ -74,7 +74,7 @@ def misfit_group(
 def quantities_group(
     problem: UpdatingProblem, position: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return a dict with the group ``quantities`` of a trace; empty if all data are of modes.
+    """Return a dict with the group ``quantities`` of a trace; empty if all data are modes.
 
     Parameters
     ----------

@@ -35,7 +35,9 @@ MEASURED = "measured shapes, at the sensors"
 """Reference of the MAC if shapes were measured."""
 _AXES = ("x", "y", "z")
 _MOST_COMPONENTS = 40
-"""Most translations stored for a structure without geometry; if it has more, only those at sensors are stored."""
+"""Largest number of translations stored for a structure without geometry.
+
+If the structure has more, only those at sensors are stored."""
 
 
 def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> xr.DataTree:
@@ -46,7 +48,7 @@ def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | No
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return a dict of the parameter vectors to compare: start, posterior mean, highest maximum if known."""
+    """Return the parameter vectors to compare, by name: start, posterior mean, and highest maximum if known."""
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
         states[MAXIMUM] = maxima[0].theta
@@ -184,7 +186,10 @@ def _without_sign(sensor: Dof) -> Dof:
 def _components(
     structure: SeparableModel, data: ModalData, shapes: FloatArray, size: FloatArray | None = None
 ) -> dict[str, Any]:
-    """Return computed and measured shapes at single points; without `size` the largest component is 1."""
+    """Return computed and measured shapes at single points.
+
+    The computed shapes are divided by `size` (states, n_modes); without it the largest component is 1.
+    """
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}
     if data.shapes is not None:
@@ -226,7 +231,7 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 
 
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
-    """Return a dict with the group of a trace of several tests that `sketch_of` draws; empty without geometry.
+    """Return a dict with the group of a trace of several tests that `sketch_of` reads; empty without geometry.
 
     It shows the structure of the first test.
     """
@@ -246,7 +251,7 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return the sketch of the structure; None without a geometry, or in a trace of an older version of fmu."""
+    """Return the sketch of the structure; None without a geometry, or for a trace of an older version of fmu."""
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:
         return None

@@ -1,7 +1,7 @@
-"""Reading and writing of a tree of data sets as a netCDF-4 file, by h5py.
+"""Reading and writing of a tree of data sets as a netCDF-4 file with h5py.
 
 NetCDF-4 is HDF5 with dimension scales, so that xarray, ArviZ and other programs can read the files. The writer of
-xarray opens every scale again for each of a hundred variables, which takes a second instead of 0.1 s here.
+xarray reopens every scale for each of a hundred variables, which takes a second instead of 0.1 s here.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _set_attributes(
 def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Iterator[tuple[str, xr.Dataset]]:
     """Yield the path and the data set of the group and of every group within it.
 
-    `scales` gives the names of the variables of the groups above by their addresses in the file. HDF5 would search
+    `scales` has the names of the variables of the groups above by their addresses in the file. HDF5 would search
     the whole file for the name of the scale that an axis refers to.
     """
     import h5py
@@ -142,7 +142,7 @@ def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[
 
 
 def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
-    """Return the attributes without the attributes of the file format; arrays of one number become numbers."""
+    """Return the attributes without the ones of the file format; arrays of one number become numbers."""
     return {
         name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()

@@ -24,18 +24,18 @@ PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")
 def canonical_json(value: object) -> str:
     """Return `value` as canonical JSON: sorted keys, no spaces, shortest floats that round-trip.
 
-    NumPy scalars and arrays are written as numbers and lists, tuples as lists.
+    NumPy scalars and arrays are written as numbers and lists, and tuples as lists.
 
     Raises
     ------
     TypeError
-        If `value` holds something that is neither JSON nor NumPy.
+        If `value` contains something that is neither JSON nor NumPy.
     """
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=_plain)
 
 
 def _plain(value: object) -> object:
-    """Return a NumPy array or scalar as nested lists or a number."""
+    """Return a NumPy array or scalar as nested lists or a number. Raise TypeError for anything else."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"a configuration must hold JSON values and NumPy arrays only (got {type(value).__name__})")
@@ -57,7 +57,7 @@ def describe_inputs(
 def configuration(result: RunResult, density: LogDensity, start: object = None) -> dict[str, object]:
     """Return a dict of everything that determines the draws of a run.
 
-    `start` describes the starts of the chains, if ``result.init`` does not.
+    `start` describes the starting points of the chains, if ``result.init`` does not.
     """
     run = {
         "draws": result.draws,

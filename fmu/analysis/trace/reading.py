@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 MANY = 30
-"""Largest number of parameters that a table or a figure shows in full."""
+"""Largest number of parameters that a table or a figure shows including scores of tests."""
 LOSSES = "loss"
 """Group of a trace with the losses of parameters between groups of tests."""
 IMPORTED = "imported"
@@ -25,7 +25,10 @@ IMPORTED = "imported"
 
 
 def check_trace(trace: object, origin: str = "trace") -> None:
-    """Raise ValueError unless `trace` has the groups that the analysis needs; `origin` names it in the message."""
+    """Raise ValueError unless `trace` has the groups and attributes that the analysis needs.
+
+    The message calls the trace `origin`.
+    """
     needed = ("posterior", "sample_stats")
     children, attrs = (getattr(trace, name, {}) for name in ("children", "attrs"))
     missing = [group for group in needed if group not in children]
@@ -51,7 +54,7 @@ def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
 
 
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
-    """Return `UpdatingProblem.configuration` of the problem; for another density, its stored description."""
+    """Return `UpdatingProblem.configuration` of the problem, or the stored description of another density."""
     found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
     return found if isinstance(found, dict) else {}
 
@@ -71,7 +74,10 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the parameters shown in tables and figures: all, or all but the scores of tests if there are many."""
+    """Return the names of the parameters to show in tables and figures.
+
+    These are all parameters or, if there are many, all but the scores of tests in a population.
+    """
     names = parameter_names(trace)
     scores = set(score_names(trace))
     chosen = tuple(name for name in names if name not in scores)
@@ -81,7 +87,7 @@ def told_names(trace: xr.DataTree) -> tuple[str, ...]:
 def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
     """Return a dict from parameter names to their roles in a problem of several tests; empty for a single test.
 
-    A role is the kind, the parameter of the structure, and the test, group or covariate, see
+    A role has three parts: the kind, the parameter of the structure, and the test, group or covariate; see
     `fmu.posterior.joint.varies.base.Role`.
     """
     if not has(trace, "constant_data", "role"):
@@ -97,7 +103,7 @@ def later_states(trace: xr.DataTree) -> list[str]:
 
 
 def is_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return True if a parameter belongs to a later state: its loss, or its value in this state."""
+    """Return True if a parameter belongs to a later state of the structure, by its loss or its value there."""
     kind, _, where = roles_of(trace).get(name, ("", "", ""))
     return kind in ("loss", "group") and has(trace, LOSSES) and where in later_states(trace)
 
@@ -110,14 +116,15 @@ def score_names(trace: xr.DataTree) -> list[str]:
 def sds_of_population(trace: xr.DataTree, name: str) -> dict[str, str]:
     """Return the names of the standard deviations of the population of parameter `name`, by group of tests.
 
-    The group is empty where all tests have the same; the dict is empty without a population.
+    The group is an empty string if all tests have the same standard deviation; the dict is empty without a
+    population.
     """
     every = [(where, k) for k, (kind, of, where) in roles_of(trace).items() if kind == "sd" and of == name]
     return {where: k for where, k in every if where} or dict(every[:1])
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:
-    """Return the trace with the parameters of `told_names` only; the rest is in its group ``tests``."""
+    """Return the trace with only the parameters of `told_names`; the group ``tests`` has the rest by test."""
     chosen = list(told_names(trace))
     if len(chosen) == len(parameter_names(trace)):
         return trace
@@ -132,7 +139,7 @@ def without_scores(trace: xr.DataTree) -> xr.DataTree:
 
 
 def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the units of the sampled parameters, in the order of theta; an empty string without a unit."""
+    """Return the units of the sampled parameters, in the order of theta; empty for a dimensionless parameter."""
     variables = trace["posterior"].variables
     return tuple(str(variables[name].attrs.get("units", "")) for name in parameter_names(trace))
 
@@ -153,7 +160,7 @@ def constant(trace: xr.DataTree, which: str, name: str) -> float:
 
 
 def in_solves[Count: (float, FloatArray)](trace: xr.DataTree, n_solves: Count, n_gradients: Count) -> Count:
-    """Return a cost as a number of solves: the log-probabilities that would have taken the same time.
+    """Return a cost in solves: the number of log-probabilities that would have taken the same time.
 
     An exact gradient, which is also counted as one solve, costs as much as ``trace.attrs["gradient_cost"]``
     solves. This ratio was measured at the end of the run; in a trace without it, a gradient costs one solve.
@@ -168,12 +175,12 @@ def used_modes(trace: xr.DataTree) -> BoolArray:
 
 
 def modes_are_data(trace: xr.DataTree) -> bool:
-    """Return True if a measured mode was used in updating, and not other data alone, as response functions."""
+    """Return True if any measured mode was used in updating, False if only other data such as FRFs were."""
     return bool(used_modes(trace).any())
 
 
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return a list of the names of the measured modes, marked if only others were used in updating."""
+    """Return the names of the measured modes, with a mark on those not used in updating if others were."""
     labels, are_data = trace["observed_data"]["mode"].to_numpy(), modes_are_data(trace)
     return [
         str(label) if used or not are_data else f"{label} (not used)"
