@@ -1,4 +1,4 @@
-"""Updating problems read from TOML files.
+"""Updating problems that are read from TOML files.
 
 Reading order: tables, problem; then a module for each table of the file: models/, parameters, measurement, errors.
 """
@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 LARGEST_FILE = 2**21
 """Largest size of a TOML file in bytes. Large matrices belong in separate files, read a hundred times faster."""
 DEEPEST_KEY, DEEPEST = 6, 12
-"""Largest numbers of parts of a dotted key, and of nested levels of tables and lists: no problem needs half."""
+"""Largest number of parts of a dotted key and of nested levels of tables and lists. No problem needs half of
+these."""
 SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
-"""Limits of the absolute value of a number in SI units. Beyond them products or reciprocals would overflow."""
+"""Limits of the absolute value of a number in SI units; beyond them products or reciprocals would overflow."""
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
 _KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
 _LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{8 * DEEPEST_KEY},}}+)")
@@ -56,9 +57,9 @@ def load(
     path : path-like
         The TOML file.
     pairing : {"shape", "index", "soft"}, optional
-        The pairing to use instead of the pairing in the file.
+        How modes are paired: by MAC, by order in the spectrum, or softly. Defaults to the setting in the file.
     beta : float or array_like, shape (n_modes,), optional
-        Weights 1/(2 sd²) of the frequency errors, in 1/Hz², to use instead of the uncertainty in the file.
+        Weights 1/(2 sd²) of the frequency errors, in 1/Hz²; replaces the measurement uncertainty in the file.
     engine : Engine, optional
         Trains the reduced model with its workers; see `fmu.engine`.
 
@@ -78,7 +79,7 @@ def load(
 
 
 def read(path: Path) -> ProblemFile:
-    """Return the content of a file with the types and ranges of its values checked; see `load`."""
+    """Return the content of a problem file, with the types and ranges of its values checked; see `load`."""
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile
@@ -105,9 +106,9 @@ def read(path: Path) -> ProblemFile:
 
 
 def _parse_toml(path: Path) -> dict[str, object]:
-    """Return the content of a TOML file as a dict; ValueError if the file is not valid TOML or too large.
+    """Return the content of a TOML file as a dict. Raise ValueError if the file is invalid TOML or too large.
 
-    Dotted keys are checked first, as the parser's memory grows with the square of their length.
+    Dotted keys are checked first, because the parser's memory grows with the square of their length.
     """
     with path.open("rb") as file:
         raw = file.read(LARGEST_FILE + 1)

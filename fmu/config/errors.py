@@ -33,9 +33,9 @@ _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
 def _in_a_file(annotation: object) -> object:
-    """Return the type that an error model's argument has in a file, such as a list of numbers for an array.
+    """Return the TOML type for an argument of an error model, such as a list of numbers for an array.
 
-    A parameter, which is an inferred standard deviation, has its name in the file.
+    A parameter, that is an inferred standard deviation, is given by its name in the file.
     """
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
@@ -56,7 +56,7 @@ def build_error_models(
     known: Sequence[str],
     read_frfs: Callable[..., tuple[list[FRFErrors], list[ArgumentError]]] | None,
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
-    """Return the list of error models, and the list of errors in their references to noise tables.
+    """Return the list of error models, and the list of mistakes in their tables.
 
     Parameters
     ----------
@@ -65,9 +65,10 @@ def build_error_models(
         Standard deviations to be inferred, by name.
     known : sequence of str
         Names of all noise tables in the order of the file; invalid tables have no entry in `noise`.
-    read_frfs : callable
-        Returns the errors of the frequency response functions of a table, and the list of errors in it, given
-        number and table, and the parameters by key. None if there is no such table.
+    read_frfs : callable or None
+        Takes the number and the table of an ``[[error]]`` of frequency response functions, and the parameters by
+        key. Returns the error models of the functions, and the list of mistakes in the table. None if there is no
+        such table.
     """
     models: list[ErrorModel] = []
     found, used = [], set()
@@ -98,12 +99,12 @@ def build_error_models(
 
 
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return a list of the error models in which names of places are replaced by nodes of the model."""
+    """Return the error models with the names of places replaced by nodes of the model."""
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 
 def is_of_modes(model: ErrorModel) -> bool:
-    """Return True if an error model is for modes, and not for another quantity such as a mass or displacement."""
+    """Return True if an error model applies to modes, not to another quantity such as a mass or displacement."""
     return not _are_of_quantities(model)
 
 
@@ -112,7 +113,7 @@ def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
 
 
 def _noises(table: Declared) -> dict[str, str]:
-    """Return a dict from the keys of a table that refer to a noise to the noise's name."""
+    """Return a dict that maps each key of a table that refers to a noise table to the name of that table."""
     hints = get_type_hints(table.makes[0])
     return {
         key: str(value)
@@ -122,7 +123,7 @@ def _noises(table: Declared) -> dict[str, str]:
 
 
 def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
-    """Return an error for each ``sd`` that is given although the scatter of tests determines it.
+    """Return a mistake for each ``sd`` that is given although the scatter of the tests determines it.
 
     One of the two would be ignored.
     """
@@ -140,11 +141,11 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
 def vanishing(
     noise: Mapping[str, Parameter], models: Sequence[ErrorModel], data: ModalData, n_parameters: int
 ) -> list[ArgumentError]:
-    """Return an error for each inferred standard deviation for which the posterior density may be unbounded.
+    """Return a mistake for each inferred standard deviation for which the posterior density may be unbounded.
 
-    If all n errors with this standard deviation sd can be zero, the likelihood grows as sd^(−n) for sd → 0. This
-    is possible if n is at most the number of parameters, and no known standard deviation contributes to the errors
-    too. The posterior is still bounded if the prior falls faster.
+    If all n errors with this standard deviation sd can be zero, the likelihood grows as sd^(−n) as sd → 0. This is
+    possible if n is at most the number of parameters and no known standard deviation contributes to the errors.
+    The posterior is still bounded if the prior decreases faster.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``[measurement.geometry]``: coordinates of a test's points, by which the points are matched to nodes."""
+"""``[measurement.geometry]``: coordinates of the points of a test, used to match the points to nodes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNIVERSAL = (".uff", ".unv")
 class GeometryTable(TomlTable):
     """Coordinates of the points at which a test measured; sensors then name points, in the axes of the test.
 
-    They are turned and moved to fit the model, never scaled or mirrored, and each sensor is at the nearest node.
+    They are rotated and translated to fit the model, never scaled or mirrored; each sensor is at the nearest node.
     """
 
     file: FileName | None = None
@@ -32,9 +32,9 @@ class GeometryTable(TomlTable):
     points: Annotated[dict[Name, Vector], Field(min_length=1)] | None = None
     """Coordinates by point, instead of a file."""
     unit: Literal["m", "mm", "cm", "in", "ft"] = "m"
-    """Of the coordinates."""
+    """Unit of the coordinates."""
     nodes: dict[Name, Place] = {}
-    """Nodes of three or more points, where the fit alone does not decide, as on a symmetric structure."""
+    """Nodes of three or more points, if the fit alone is ambiguous, as for a symmetric structure."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -43,7 +43,10 @@ class GeometryTable(TomlTable):
         return self
 
     def build(self, folder: Path, built: Built) -> Matching:
-        """Return the matching of points to nodes; BrokenError if it fails, or if nodes have no coordinates."""
+        """Return the matching of points to nodes.
+
+        Raises BrokenError if it fails or if nodes have no coordinates.
+        """
         model = built.separable
         if model is None or model.geometry is None:
             rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"

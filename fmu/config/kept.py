@@ -1,4 +1,4 @@
-"""Saved copies of a run's problem file and options, from which the run is resumed and its model built again."""
+"""Saved copies of a run's problem file and options, used to resume the run and to rebuild its model."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Orders(TypedDict, total=False):
     keep_draws: int
     keep_seconds: float
     design: str
-    """Hash of the solves to which the surrogate was fitted."""
+    """Hash of the model solves to which the surrogate was fitted."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class KeptProblem:
     folder : Path
         Directory to which file names in the problem file are relative.
     pairing : str or None
-        How modes are paired; None for the pairing in the file.
+        How modes are paired; None to use the setting in the file.
     orders : Orders
         The options of the run: samplers, draws, seed and so on.
     finished : tuple of str
@@ -69,13 +69,16 @@ class KeptProblem:
     finished: tuple[str, ...] = ()
 
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
-        """Return the updating problem; an engine trains its reduced model. ConfigurationError if this fails."""
+        """Return the updating problem, with its reduced model trained by `engine` if given.
+
+        Raises ConfigurationError if the problem cannot be built.
+        """
         from fmu import config
 
         return config.read(self.file).build(self.file.name, self.folder, self.pairing, engine=engine)
 
     def save(self, directory: Path) -> None:
-        """Write a copy of the problem file and the options of the run to a directory, for `read_saved`."""
+        """Write a copy of the problem file and the options of the run to a directory, for `read_saved` to read."""
         origin = {
             "about": _ABOUT,
             "file": self.file.name,
@@ -97,14 +100,14 @@ def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     directory : Path
         Directory of the run.
     model : Path, optional
-        The problem file to use instead of the saved one, for example because that is missing or the files to
-        which it refers have moved.
+        The problem file to use instead of the saved one, for example if that is missing or the files to which it
+        refers have moved.
 
     Raises
     ------
     ValueError
-        If there is no saved problem file and no `model`, or the saved options are not as `KeptProblem.save` wrote
-        them.
+        If there is neither a saved problem file nor a `model`, or if the saved options are not in the form in
+        which `KeptProblem.save` wrote them.
     """
     if not (directory / ORIGIN).is_file() or not (directory / FILE).is_file():
         if model is None:

@@ -60,7 +60,8 @@ _IN_A_FILE: dict[object, object] = {
     Sensors: None,
     Sensors | None: None,
 }
-"""Types in TOML for annotations of a reader's arguments. Sensors are a key of ``[measurement]`` instead: None."""
+"""TOML types by the annotations of a reader's arguments. None for sensors, which are a key of
+``[measurement]``."""
 _FILES = ("file", "deck")
 """Names of the arguments of readers that are file names."""
 
@@ -72,56 +73,57 @@ def _of_reader(key: str, form: ModesFormat) -> tuple[object, object]:
 
 @with_keys({key: _of_reader(key, form) for key, form in READERS.items()})
 class MeasurementTable(TomlTable):
-    """The modes measured: ``frequencies``, ``tests``, ``tests_file``, ``file``, or a table of a format.
+    """The measured modes: ``frequencies``, ``tests``, ``tests_file``, ``file``, or the table of a file format.
 
     The frequency errors are given by ``sd`` in Hz, ``beta`` = 1/(2 sd²) or ``covariance`` in Hz², which replace
-    those of a file. ``tests`` are repeated tests, one row per test, nan where it missed a mode; their scatter
+    the errors in a file. ``tests`` are repeated tests, one row per test, nan where it missed a mode; their scatter
     gives the error. ``shapes`` has one row per mode with a value per sensor; instead, ``shapes_file`` names a
-    table, and ``test_shapes`` has the shapes of each test.
+    table, or ``test_shapes`` has the shapes of each test.
     """
 
     sources: ClassVar[tuple[str, ...]] = _SOURCES
     frequencies: Annotated[list[Positive], Field(min_length=1, max_length=MOST_MODES)] | None = None
     """Natural frequencies, Hz."""
     tests: Annotated[list[Test], Field(min_length=2), one_length("mode")] | None = None
-    """Frequencies of repeated tests, Hz: one row per test, in order of time, nan where it missed a mode."""
+    """Frequencies of repeated tests in Hz: one row per test in chronological order, nan if the test missed a
+    mode."""
     tests_file: FileName | None = None
-    """CSV table of repeated tests, relative to this file: one row per test in order of time, one column per mode
-    with its name as header, empty or nan where a test missed the mode. A column named test is ignored."""
+    """CSV table of repeated tests, relative to this file: one row per test in chronological order, one column per
+    mode with its name as header, empty or nan if a test missed the mode. A column named test is ignored."""
     scatter: Literal["each", "pooled", "joint"] = "each"
-    """How the scatter of the tests is used: one deviation per mode, one relative deviation for all, or a
-    covariance."""
+    """How the scatter of the tests is used: one standard deviation per mode, one relative standard deviation for
+    all modes, or a covariance."""
     file: FileName | None = None
     """CSV table of frequencies, relative to this file."""
     sd: NumberOrNumbers | None = None
-    """Standard deviation of the frequencies, Hz: one for all modes, or one per mode."""
+    """Standard deviation of the frequencies in Hz: one for all modes, or one per mode."""
     beta: NumberOrNumbers | None = None
-    """Weight of a squared frequency error, 1/(2 sd²), 1/Hz²: one for all modes, or one per mode."""
+    """Weight of a squared frequency error, 1/(2 sd²), in 1/Hz²: one for all modes, or one per mode."""
     covariance: list[list[float]] | FileName | None = None
-    """Covariance of the frequencies, Hz²: rows, or a file of a matrix, CSV, .npz or .mat."""
+    """Covariance of the frequencies in Hz²: rows of numbers, or the file of a matrix (CSV, .npz or .mat)."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
-    """Numbers of the modes in the sorted spectrum, from 1, for pairing by number."""
+    """Numbers of the modes in the sorted spectrum, counted from 1, for pairing by number."""
     counterparts: list[Annotated[int, Field(ge=1)]] = []
-    """For pairing by shape without measured shapes: number of each mode, from 1, among the elastic modes before
-    updating that move a sensor."""
+    """For pairing by shape without measured shapes: the number of each mode, counted from 1 among the elastic
+    modes before updating that move a sensor."""
     labels: list[Name] = []
     """Names of the modes."""
     use: list[bool] = []
     """Which modes the parameters are updated with, one true or false per mode; all if not given. The others are
     paired and predicted too, and test the updated model."""
     sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
-    """Place and direction of each sensor: x, y, z, rx, ry, rz, with a minus if positive readings point the other
-    way."""
+    """Place and direction of each sensor: x, y, z, rx, ry, rz, with a minus sign if positive readings point in the
+    opposite direction."""
     geometry: GeometryTable | None = None
-    """Coordinates of the points of the test, where these are not the nodes or places of the model."""
+    """Coordinates of the points of the test, if these are not nodes or places of the model."""
     shapes: Annotated[list[list[float]], one_length("sensor")] | None = None
-    """One row per mode, one value per sensor, in any scale."""
+    """One row per mode with one value per sensor, scaled arbitrarily."""
     shapes_file: FileName | None = None
     """CSV table of shapes with their sensors, relative to this file."""
     test_shapes: list[list[list[Missed]]] | None = None
     """Shapes of repeated tests: one list per test with one row per mode and one value per sensor, in any scale and
-    sign, nan at every sensor where a test missed a mode. Their mean is compared, and their scatter gives its
-    error."""
+    sign, nan at every sensor if a test missed a mode. The mean is compared with the model, and the scatter gives
+    its error."""
 
     @field_validator("covariance")
     @classmethod
@@ -169,12 +171,12 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"{key} must be {n_modes}, one per mode (got {n})")
 
     def _count_modes(self) -> int | None:
-        """Return the number of modes; None if only a file has it."""
+        """Return the number of modes; None if it is known only from a file."""
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
         return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
-        """Return the list of those `keys` that the file gives in this table."""
+        """Return the list of those `keys` that this table contains in the file."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property
@@ -184,17 +186,17 @@ class MeasurementTable(TomlTable):
 
     @property
     def _reads_shapes(self) -> bool:
-        """Whether the source of the frequencies is a file format with shapes, whose reader has the key sensors."""
+        """Whether the frequencies come from a file format with shapes, whose reader takes the key ``sensors``."""
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list of errors: one if the uncertainty of the frequencies is needed but not given."""
+        """Return a list with a mistake if the uncertainty of the frequencies is needed but not given."""
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
-        """Return the measured data at sensors of the model; BrokenError if they cannot be built.
+        """Return the measured data at sensors of the model. Raise BrokenError if they cannot be built.
 
         Parameters
         ----------
@@ -203,7 +205,7 @@ class MeasurementTable(TomlTable):
         built : Built
             The model with its named places.
         needs_trust : bool
-            Whether the measurement must give the uncertainty of the frequencies, as no error model does.
+            Whether the measurement must give the uncertainty of the frequencies, because no error model does.
         """
         given = self._read(folder)
         points = None if self.geometry is None else self.geometry.build(folder, built)
@@ -244,7 +246,10 @@ class MeasurementTable(TomlTable):
             raise BrokenError(wrong.under("measurement")) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
-        """Return the covariance of the frequencies, Hz², or None; BrokenError if its file cannot be read."""
+        """Return the covariance of the frequencies in Hz², or None.
+
+        Raises BrokenError if its file cannot be read.
+        """
         if not isinstance(self.covariance, str):
             return self.covariance
         try:
@@ -258,7 +263,7 @@ class MeasurementTable(TomlTable):
         return np.asarray(matrix.toarray())
 
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
-        """Return modes with sensors and shapes rotated to the axes of the model, if these are not parallel yet."""
+        """Return modes with sensors and shapes rotated to the axes of the model, unless they are parallel."""
         if points is None or points.is_parallel:
             return modes
         if self.test_shapes is not None and modes.shapes_sd is not None:
@@ -276,7 +281,10 @@ class MeasurementTable(TomlTable):
         return "sensors" if self.sensors else self._source if self._reads_shapes else "shapes_file"
 
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
-        """Return the tuple of sensors of the model for places and directions; BrokenError if some do not exist."""
+        """Return the sensors of the model at the given places and directions.
+
+        Raises BrokenError if any does not exist.
+        """
         sensors: list[Dof] = []
         found = Mistakes()
         for i, (place, direction) in enumerate(given):
@@ -316,7 +324,7 @@ class MeasurementTable(TomlTable):
         return given._replace(modes=modes)
 
     def _read_frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> ModesGiven:
-        """Return the frequencies with their uncertainty in the source, and its labels, numbers and tests."""
+        """Return the frequencies, with the uncertainty, labels, numbers and tests that their source contains."""
         if self.frequencies is not None:
             return ModesGiven(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
@@ -335,7 +343,7 @@ class MeasurementTable(TomlTable):
 
 
 class ModesGiven(NamedTuple):
-    """The data of a source: modes, the repeated tests that were averaged, and the covariance of their mean."""
+    """The data from a source: modes, the repeated tests that were averaged, and the covariance of their mean."""
 
     modes: MeasuredModes
     tests: RepeatedTests | None = None
@@ -343,7 +351,10 @@ class ModesGiven(NamedTuple):
 
 
 def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> ModesGiven:
-    """Return the mean of repeated tests with its uncertainty; BrokenError at `key` if the tests are invalid."""
+    """Return the mean of repeated tests with its uncertainty.
+
+    Raises BrokenError at `key` if the tests are invalid.
+    """
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
@@ -355,7 +366,10 @@ def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = (
 def _repeated_shapes(
     shapes: list[list[list[float]]], tests: RepeatedTests
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Return the mean (n_sensors, n_modes) of the tests' shapes, and its standard deviation or None."""
+    """Return the mean of the tests' shapes, (n_sensors, n_modes), and its standard deviation or None.
+
+    Raises BrokenError if the shapes do not match the tests.
+    """
     where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
     wrong = (
         [ArgumentError(where, f"must be {n_tests}, one per test", len(shapes))] if len(shapes) != n_tests else []

@@ -1,4 +1,4 @@
-"""Errors in a problem file, reported together, each with its location, the rule and the value received."""
+"""Mistakes in a problem file, reported together, each with its location, the rule and the value received."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PATTERNS = {
 
 
 class BrokenError(Exception):
-    """Errors found while a part of the problem was built; `mistakes` is a tuple of them."""
+    """Raised if a part of the problem cannot be built; `mistakes` is the tuple of mistakes found."""
 
     def __init__(self, *mistakes: ArgumentError) -> None:
         self.mistakes = mistakes
@@ -39,22 +39,22 @@ class BrokenError(Exception):
 
 
 class Mistakes(list[ArgumentError]):
-    """A list of errors that are reported together."""
+    """A list of mistakes in a problem file that are reported together."""
 
     def add(self, key: str, rule: str, value: object = "") -> None:
-        """Append an error at a key of the file: the rule that is broken, and the value received."""
+        """Append a mistake at a key of the file: the rule that is broken, and the value received."""
         self.append(ArgumentError(key, rule, value))
 
 
 class ConfigurationError(ValueError):
-    """The error for a problem file that cannot be used.
+    """Raised if a problem file cannot be used.
 
     Attributes
     ----------
     source : str
         Name of the file.
     mistakes : tuple of ArgumentError
-        All errors that were found in the file.
+        All mistakes that were found in the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[ArgumentError]) -> None:
@@ -102,7 +102,7 @@ def _of_one(error: ErrorDetails) -> ArgumentError:
 
 
 def _as_rule(message: str) -> str:
-    """Return a message of pydantic, ``Input should be …``, as the rule ``must be …``."""
+    """Return a pydantic message of the form ``Input should be …`` as the rule ``must be …``."""
     subject, should, rest = message.partition(" after validation")[0].partition(" should ")
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 

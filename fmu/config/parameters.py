@@ -26,7 +26,8 @@ from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
 LEAST_LOG_MASS = -200.0
-"""Smallest log-probability of a prior between the bounds. Bounds 20 standard deviations away are a typo."""
+"""Smallest log-probability of a prior between the bounds; bounds 20 standard deviations away are taken as
+typos."""
 KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
 """The key of a parameter's table that lists the groups, masses or springs with a property, by property."""
 
@@ -46,7 +47,7 @@ class Target(TomlTable):
     scaling: Literal["absolute", "factor"] = "absolute"
 
     def names_at(self, key: str, groups: Sequence[str] = ()) -> list[str]:
-        """Return the list of names at a key, "groups", "masses" or "springs"; all of `groups` for ``"all"``."""
+        """Return the names at `key` ("groups", "masses" or "springs"); for ``"all"``, return all of `groups`."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
 
@@ -59,15 +60,15 @@ class Uncertain(TomlTable):
     start: float
     """Value before updating."""
     lower: float | None = None
-    """Bounds cut the prior off; a uniform prior needs both."""
+    """Lower bound. Bounds truncate the prior; a uniform prior needs both."""
     upper: float | None = None
-    """Bounds cut the prior off; a uniform prior needs both."""
+    """Upper bound. Bounds truncate the prior; a uniform prior needs both."""
     unit: str = ""
     """SI unit, for labels."""
     prior: Annotated[Declared, OneOf("distribution", PRIORS)] = Field(
         {"distribution": "uniform"}, validate_default=True
     )
-    """Knowledge before the measurement."""
+    """Prior distribution: knowledge before the measurement."""
 
     def build(self) -> Parameter:
         """Return the parameter that the table describes.
@@ -97,16 +98,16 @@ def _kind_of_time(value: object) -> str:
 
 
 class PopulationTable(TomlTable):
-    """The distribution of a parameter over several tests, which is inferred."""
+    """The distribution of a parameter over several tests; its mean and standard deviation are inferred."""
 
     distribution: Literal["normal", "log-normal"] = "normal"
-    """Of the values, truncated to the bounds."""
+    """Distribution of the values in the tests, truncated at the bounds."""
     sd: PriorTable | None = None
-    """Prior of its standard deviation, or of the logarithm's; half-normal if not given."""
+    """Prior of the standard deviation of the values, or of their logarithms; half-normal if not given."""
     between: PriorTable | None = None
-    """Prior of the relative standard deviation between groups of tests, in addition to that within them."""
+    """Prior of the relative standard deviation between groups of tests, in addition to the one within groups."""
     sd_by_group: bool = False
-    """Whether each group of tests has a standard deviation of its own."""
+    """Whether each group of tests has its own standard deviation."""
     correlation_time: (
         Annotated[
             Annotated[Literal["inferred"], Tag("<word>")]
@@ -116,9 +117,9 @@ class PopulationTable(TomlTable):
         ]
         | None
     ) = None
-    """Time over which values are correlated; "inferred", or a prior with which it is inferred."""
+    """Time over which the values are correlated: a number, "inferred", or the prior of an inferred time."""
     by: Name | None = None
-    """The covariate that is the time, different in each test; the order of the tests if not given."""
+    """The covariate that serves as time, different in each test; the order of the tests if not given."""
 
     def build(self) -> Population:
         """Return the population that the table describes."""
@@ -136,13 +137,13 @@ class OutliersTable(TomlTable):
         | Annotated[Declared, OneOf("distribution", {"beta": PRIORS["beta"]}), Tag("<table>")],
         Discriminator(lambda value: "<table>" if isinstance(value, dict | Declared) else "<number>"),
     ] = 0.05
-    """Probability that a test is an outlier; or its prior, distribution = "beta" on [0, 1], with which it is
-    inferred."""
+    """Probability that a test is an outlier, or the prior of an inferred probability, distribution = "beta" on [0,
+    1]."""
     scale: float = 5.0
-    """Standard deviation of the values of outliers, relative to that of the others."""
+    """Standard deviation of the values of outliers, relative to the standard deviation of the other values."""
 
     def build(self) -> Outliers:
-        """Return the outliers that the table describes."""
+        """Return the model of outliers that the table describes."""
         return Outliers(self.share if isinstance(self.share, float) else self.share.build(), self.scale)
 
     @model_validator(mode="after")
@@ -152,11 +153,11 @@ class OutliersTable(TomlTable):
 
 
 class PolynomialTable(TomlTable):
-    """A polynomial in a covariate, about its mean over the tests."""
+    """A polynomial in a covariate minus its mean over the tests."""
 
     law: Literal["polynomial"]
     priors: list[PriorTable]
-    """Of the coefficients of x, x², …, in the units of 1/x, 1/x², …"""
+    """Priors of the coefficients of x, x², …, in units of 1/x, 1/x², …"""
 
     def build(self) -> Polynomial:
         """Return the law that the table describes."""
@@ -169,16 +170,17 @@ class PolynomialTable(TomlTable):
 
 
 class PiecewiseLinearTable(TomlTable):
-    """Straight lines that meet in kinks."""
+    """A continuous, piecewise linear function of a covariate."""
 
     law: Literal["piecewise-linear"]
     prior: PriorTable
-    """Of the relative slope of each piece."""
+    """Prior of the relative slope of each segment."""
     kinks: Annotated[
         Annotated[list[float], Tag("<list>")] | Annotated[PriorTable, Tag("<table>")],
         Discriminator(lambda value: "<list>" if isinstance(value, list) else "<table>"),
     ]
-    """The covariate at the kinks, in ascending order; or a prior of one kink whose place is inferred."""
+    """Values of the covariate at the kinks, in ascending order; or the prior of the position of a single inferred
+    kink."""
 
     def build(self) -> PiecewiseLinear:
         """Return the law that the table describes."""
@@ -208,14 +210,14 @@ SlopeTable = Annotated[
 
 
 class OnsetTable(TomlTable):
-    """When and how a damage at an unknown date happened."""
+    """When and how damage at an unknown date occurred."""
 
     by: Annotated[str, Field(max_length=100)] = ""
-    """The covariate that is the time, such as "day"; the order of the tests if not given."""
+    """The covariate that serves as time, such as "day"; the order of the tests if not given."""
     grows: bool = False
-    """Whether the loss grows linearly from the date on."""
+    """Whether the loss grows linearly with time after the date."""
     date: PriorTable | None = None
-    """Prior of the date, in the unit of the time; uniform between the first test and the last if not given."""
+    """Prior of the date, in the unit of the time; uniform between the first and last test if not given."""
     event: Name = "damage"
     """Parameters with the same event have the same date."""
 
@@ -225,28 +227,29 @@ SETTINGS = {
     "loss": ("damage", "undated-damage"),
     "onset": ("undated-damage",),
 }
-"""For each key with settings of a variation, the values of ``varies`` that it belongs to."""
+"""For each key with settings of a variation, the values of ``varies`` with which it is allowed."""
 
 
 class ParameterTable(Uncertain, Target):
-    """A parameter; of a frame, with the quantities that it updates."""
+    """A parameter and, for a frame, the quantities that it updates."""
 
     updated: bool = True
-    """false keeps the value start. Such a parameter may scatter over the modes by [[discrepancy]]; its bounds and
-    prior only tell where a reduced model must be accurate."""
+    """false keeps the parameter at its start value. It may still scatter over the modes with [[discrepancy]]; its
+    bounds and prior only determine where a reduced model must be accurate."""
     varies: Literal["shared", "test", "group", "population", "damage", "undated-damage"] | None = None
-    """With [[tests]]: one value for all, one per test or group, values that scatter, losses of later groups, or a
-    loss from an unknown date on."""
+    """With [[tests]]: one value for all tests, one per test or group, values from a population, losses in later
+    groups, or a loss from an unknown date."""
     population: PopulationTable | None = None
-    """With varies = "population"; or with a damage, if the undamaged value scatters from test to test."""
+    """With varies = "population"; or with damage, if the undamaged value scatters from test to test."""
     slopes: dict[Name, SlopeTable] = {}
-    """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C; or a law
-    with kinks or powers; or the name of a parameter that has the same slopes."""
+    """With [[tests]]: priors of the relative slopes with respect to covariates, such as { temperature = … } in
+    1/°C; or a law with kinks or powers; or the name of a parameter that has the same slopes."""
     loss: PriorTable | None = None
-    """With varies = "damage" or "undated-damage": prior of each loss; normal about 0, sd 0.3, if not given. Where
-    few parameters are expected to be damaged, distribution = "spike-and-slab"."""
+    """With varies = "damage" or "undated-damage": prior of each loss; normal with mean 0 and sd 0.3 if not given.
+    If few parameters are expected to be damaged, use distribution = "spike-and-slab"."""
     onset: OnsetTable | None = None
-    """With varies = "undated-damage": the time, and whether the loss grows."""
+    """With varies = "undated-damage": the covariate that serves as time, the prior of the date, and whether the
+    loss grows."""
 
     @model_validator(mode="after")
     def _what_varies(self) -> Self:
@@ -257,7 +260,7 @@ class ParameterTable(Uncertain, Target):
         return self
 
     def variation(self) -> str | Variation | None:
-        """Return the variation of the parameter between tests, or its name; None if the file gives none."""
+        """Return the variation of the parameter between tests, or its name; None if the file has none."""
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
         loss = None if self.loss is None else self.loss.build()
@@ -271,7 +274,7 @@ class ParameterTable(Uncertain, Target):
         return self.varies
 
     def laws(self) -> dict[str, Prior | Law | str]:
-        """Return a dict from each covariate to the law by which the parameter depends on it."""
+        """Return a dict from each covariate to the law that describes how the parameter depends on it."""
         return {name: how if isinstance(how, str) else how.build() for name, how in self.slopes.items()}
 
     def build(self) -> Parameter:
@@ -297,7 +300,7 @@ class NoiseTable(Uncertain):
 def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
-    """Return a dict of the parameters by name, in the order of the file, and a list of errors in their tables.
+    """Return a dict of the parameters by name, in the order of the file, and a list of mistakes in their tables.
 
     Parameters
     ----------
@@ -321,7 +324,7 @@ def build_parameters(
 
 
 def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return a list with an error for each key that is allowed with several tests only."""
+    """Return a mistake for each key that is allowed only with several tests."""
     return [
         ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
@@ -331,15 +334,15 @@ def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
 
 
 class ModelTable(TomlTable):
-    """The base of the tables of models, most of which do not allow the keys of parameters that are for frames."""
+    """Base class of the tables of models; most of them do not allow the keys of parameters that are for frames."""
 
     @property
     def decks(self) -> list[str]:
-        """Names of the input decks that are filled with the values of parameters."""
+        """Names of the input decks that are filled with parameter values."""
         return []
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a list with an error for each key of a parameter that is allowed for frames only."""
+        """Return a mistake for each key of a parameter that is allowed only for frames."""
         return [
             ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
             for i, table in enumerate(parameters)

@@ -58,15 +58,15 @@ NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
 class ExportTable(TomlTable):
-    """What ``fmu export`` writes beside the matrices."""
+    """The files that ``fmu export`` writes in addition to the matrices."""
 
     templates: Annotated[list[FileName], Field(min_length=1, max_length=100)]
     """Input decks of other programs, relative to this file, with {NAME} for the value of a parameter, {NAME sd}
-    for its posterior standard deviation, and {NAME:8} or {NAME:16} in a field of Nastran. plate.inp.in gives
+    for its posterior standard deviation, and {NAME:8} or {NAME:16} in a Nastran field. plate.inp.in becomes
     plate.inp."""
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
-        """Return a list with an error for each template that cannot be filled with the parameters `names`."""
+        """Return a mistake for each template that cannot be filled with the parameters `names`."""
         found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):
@@ -82,54 +82,55 @@ class ExportTable(TomlTable):
 
 
 class ProblemFile(TomlTable):
-    """A problem: a model, measured modes and uncertain parameters. SI units throughout."""
+    """A problem: a model, measured modes and uncertain parameters. All values are in SI units."""
 
     name: Name
     """Title in reports."""
     description: str = ""
     """One line of text."""
     pairing: Literal["shape", "index", "soft"] = "shape"
-    """How computed modes are paired with measured ones: by the MAC of their shapes, by number in the spectrum, or
-    softly, with weights exp(MAC/softness), so that the log-probability does not jump where modes veer."""
+    """How computed modes are paired with measured modes: by the MAC of their shapes ("shape"), by number in the
+    spectrum ("index"), or softly ("soft"), with weights exp(MAC/softness), so that the log-probability is
+    continuous where modes veer."""
     softness: Positive = SOFTNESS
-    """Of soft pairing: the smaller it is, the closer to one-to-one pairing by MAC."""
+    """For soft pairing: the smaller the value, the closer the pairing is to one-to-one pairing by MAC."""
     error: NamedError | ErrorModels = Field("frequency", discriminator=NAMES_OR_MODELS)
-    """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
+    """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models in [[error]] tables."""
     noise: list[NoiseTable] = []
     """Standard deviations to be inferred, which error models refer to by name."""
     damping: Annotated[list[DampingTable], Field(max_length=MOST_PARAMETERS)] = []
-    """Damping of the structure, for frequency response functions; several tables are added up. The [[parameters]]
-    that it names follow those of the structure."""
+    """Damping of the structure, for frequency response functions; several tables are added. The [[parameters]]
+    that it names come after those of the structure."""
     discrepancy: Annotated[list[DiscrepancyTable], Field(max_length=MOST_PARAMETERS)] = []
-    """Errors of the model itself, which must not be taken to be right: [[discrepancy]] with kind = "embedded"."""
+    """Errors of the model itself, if it is not assumed to be correct."""
     reduction: Reduction = True
-    """Whether a certified reduced model replaces the full one within the bounds, which is much faster. A number up
-    to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6, and with 20 000 degrees of
-    freedom or more for an error of the log-probability of 0.01 where the posterior has its mass. Where the bounds
-    are so wide that this would not pay, it is kept where the posterior has its mass, and 1e-3 elsewhere; or the
-    model is reduced by its modes at draws of prior and posterior, where errors of the log-probability stay below
-    0.1. A warning tells which error is kept."""
+    """Whether a certified reduced model, which is much faster, replaces the full model within the bounds. A number
+    up to 0.01 is the tolerance on its relative frequency errors. true means 1e-6 or, from 20 000 degrees of
+    freedom, an error of the log-probability of 0.01 where the posterior has its mass. If the bounds are too wide
+    for this to pay off, the tolerance holds where the posterior has its mass, and 1e-3 elsewhere. Failing that,
+    the model is reduced by its modes at draws from the prior and the posterior, where errors of the
+    log-probability stay below 0.1. A warning says which tolerance holds."""
     model: Annotated[
         FrameTable | MatricesTable | ExportsTable | CommandTable | OpenSeesTable | PythonTable,
         Field(discriminator="type"),
     ]
     """The structure: type "frame", "matrices", "exports", "command", "opensees" or "python"."""
     measurement: MeasurementTable | None = None
-    """The modes of a test. Beside frequency response functions alone they only begin the search for maxima; if not
-    given, they are the resonances."""
+    """The modes of a test. With frequency response functions alone they are used only to begin the search for
+    maxima, and are the resonances if not given."""
     tests: Annotated[list[TestTable], Field(min_length=1, max_length=MOST_TESTS)] | None = None
     """Several tests of the structure, instead of one measurement."""
     plan: PlanTable | None = None
-    """A test that is planned, for ``fmu plan``; instead of a measurement, if there is none yet."""
+    """A planned test, for ``fmu plan``; it may replace a measurement that has not been made yet."""
     reference: str | None = None
-    """The group of tests that losses refer to; that of the first one if not given."""
+    """The group of tests relative to which losses are defined; the group of the first test if not given."""
     correlation: float | None = None
-    """Shape η of the prior LKJ(η) of the correlation between parameters with a population. 1 is flat over
-    correlation matrices; the larger it is, the smaller are the correlations. Independent if not given."""
+    """Shape η of the LKJ(η) prior of the correlations between parameters with a population. η = 1 is uniform over
+    correlation matrices; a larger η favours smaller correlations. Independent if not given."""
     outliers: OutliersTable | None = None
     """With a population: tests that may be outliers."""
     parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
-    """What is uncertain, in the order of theta."""
+    """The uncertain parameters, in the order of theta."""
     export: ExportTable | None = None
     """Files of other programs that ``fmu export`` fills with the updated values."""
 
@@ -151,17 +152,17 @@ class ProblemFile(TomlTable):
         folder : Path
             The folder to which file names in the problem file are relative.
         pairing, beta : optional
-            Values to use instead of those in the file; see `fmu.load`.
+            Values that replace those in the file; see `fmu.load`.
         engine : Engine, optional
             Trains the reduced model.
         planning : bool
-            Whether a test is planned: the modes that the model predicts stand for a measurement that is missing,
+            Whether a test is being planned. The modes that the model predicts then replace a missing measurement,
             and no reduced model is trained.
 
         Raises
         ------
         ConfigurationError
-            If the problem cannot be built; it lists the errors found.
+            If the problem cannot be built; it lists the mistakes found.
         """
         parameters, found = build_parameters("parameters", self.parameters)
         of_frfs, given = self._frfs, self._errors
@@ -223,7 +224,10 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [mistake]) from error
 
     def plan_options(self, source: str, folder: Path) -> dict[str, Any]:
-        """Return the arguments of `fmu.plan` in the table ``[plan]``, or its defaults; errors as for `build`."""
+        """Return the arguments of `fmu.plan` from the table ``[plan]``, or their defaults.
+
+        Raises ConfigurationError as `build` does.
+        """
         try:
             return (self.plan or PlanTable()).options(self.model.build(folder, self.structural))
         except BrokenError as error:
@@ -232,7 +236,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
     def _is_unmeasured(self, planning: bool) -> bool:
-        """Return True if a test is planned and the file has no measurement."""
+        """Return True if a test is being planned and the file has no measurement."""
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
     def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
@@ -251,7 +255,7 @@ class ProblemFile(TomlTable):
         return UpdatingProblem(built.model, data, given, name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the list of errors in the tables of the measurements that are found without the model."""
+        """Return the mistakes in the tables of measurements that can be found without the model."""
         if self.measurement is None and self.tests is None and self._frfs is not None:
             return of_several_tests(self.parameters)
         if (self.measurement is None) == (self.tests is None):
@@ -272,28 +276,28 @@ class ProblemFile(TomlTable):
 
     @property
     def structural(self) -> list[ParameterTable]:
-        """The tables of the parameters of the structure, without the parameters of the damping."""
+        """The tables of the parameters of the structure, excluding damping parameters."""
         return structural(self.parameters, self.damping)
 
     @property
     def _errors(self) -> list[ErrorTable]:
-        """The tables ``[[error]]``; none if the error is given by a name."""
+        """The ``[[error]]`` tables; none if ``error`` is a name."""
         return [] if isinstance(self.error, str) else self.error
 
     @property
     def _frfs(self) -> FRFsInFile | None:
-        """The table of frequency response functions with its files; None if there is none."""
+        """The table of frequency response functions with its files; None if the file has no such table."""
         return FRFsInFile.of(self._errors, self.tests)
 
     @property
     def decks(self) -> list[str]:
-        """Names of the templates that ``fmu export`` fills: the decks of the model, and those in ``[export]``."""
+        """Names of the templates that ``fmu export`` fills: the model's decks, and those in ``[export]``."""
         others = [] if self.export is None else self.export.templates
         return list(dict.fromkeys([*self.model.decks, *others]))
 
     @property
     def measured(self) -> MeasurementTable:
-        """The table of the measurement; ValueError for a file with several tests."""
+        """The table ``[measurement]``; a ValueError is raised if the file has none."""
         if self.measurement is None:
             raise ValueError("measurement: a file with several tests has none")
         return self.measurement
@@ -341,7 +345,7 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Return the measured data; if `beta` is given, without the uncertainty in the file, which it replaces."""
+        """Return the measured data, without their uncertainty if `beta` is given to replace it."""
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number
             try:
@@ -360,7 +364,7 @@ class ProblemFile(TomlTable):
 
 
 def schema() -> dict[str, object]:
-    """Return the JSON schema of a configuration file.
+    """Return the JSON schema of a problem file.
 
     Returns
     -------
@@ -377,10 +381,9 @@ def schema() -> dict[str, object]:
 
 
 def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
-    """Return a dict of a schema, simplified for editors.
+    """Return a part of the schema, simplified for editors.
 
-    Null, which TOML does not have, and the titles that pydantic adds are removed, as are line breaks in
-    descriptions.
+    Null, which TOML does not have, the titles that pydantic adds and line breaks in descriptions are removed.
     """
     found: dict[str, Any] = {}
     for key, value in part.items():

@@ -47,7 +47,7 @@ Maker = Callable[..., object]
 """A class of this library, or a function that returns an instance of such a class."""
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
-"""A name without slashes, as traces use names as paths."""
+"""A name without slashes, because traces use names as paths."""
 
 
 def _of_parameter(name: str) -> str:
@@ -66,14 +66,14 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Built(NamedTuple):
-    """A model, the node of each place that is named in the file, and the largest number of modes of the model."""
+    """A model, the nodes of the places named in the file, and the largest number of modes of the model."""
 
     model: SeparableModel | BlackBoxModel | ModalModel
     places: Mapping[str, Place]
     most_modes: float = math.inf
 
     def at(self, place: Place) -> Place:
-        """Return the node of a named place; any other place is returned as it is."""
+        """Return the node of a named place; return any other place unchanged."""
         return self.places.get(str(place), place)
 
     @property
@@ -86,7 +86,7 @@ _KIND_OF = {str: "<text>", bool: "<switch>", int: "<number>", float: "<number>"}
 
 
 def kind_of(value: object) -> str | None:
-    """Return the kind of a value, such as ``<number>``, or None; the brackets distinguish kinds from keys."""
+    """Return the kind of a value, such as ``<number>``, or None; angle brackets distinguish kinds from keys."""
     if isinstance(value, list):
         return "<rows>" if value and kind_of(value[0]) in ("<list>", "<rows>") else "<list>"
     return next((kind for cls, kind in _KIND_OF.items() if isinstance(value, cls)), None)
@@ -105,7 +105,7 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 
 
 def one_length(what: str) -> AfterValidator:
-    """Return a validator that refuses rows of different lengths; a row has a value per `what`, such as "mode"."""
+    """Return a validator that rejects rows of different lengths; a row has a value per `what`, such as "mode"."""
 
     def check(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
@@ -118,7 +118,7 @@ def one_length(what: str) -> AfterValidator:
 
 @contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Within a with block, raise errors of reading a file as a BrokenError at the key `where` that names it."""
+    """Within a with block, turn errors from reading a file into a BrokenError at the key `where` that names it."""
     try:
         yield
     except ModesError as error:
@@ -128,7 +128,7 @@ def reading(where: str) -> Iterator[None]:
 
 
 class TomlTable(BaseModel):
-    """A table of the file: unknown keys and values of the wrong type are errors, and no value is converted.
+    """A table of the file. Unknown keys and values of the wrong type are errors, and no value is converted.
 
     The string below a key is its description in the schema that editors show (`fmu.config.problem`).
     """
@@ -154,17 +154,17 @@ class Declared(TomlTable):
         return str(dict(self)[self.tag])
 
     def given_arguments(self) -> dict[str, object]:
-        """Return a dict of the constructor's arguments that the file gives."""
+        """Return a dict of the constructor's arguments that are given in the file."""
         given = self.model_fields_set - {self.tag}
         return {self.renamed.get(key, key): value for key, value in self if key in given}
 
     def build(self, **others: object) -> Any:
-        """Return the object built from the arguments in the file; `others` are added to them or replace them.
+        """Return the object built from the arguments in the file and `others`, which take precedence.
 
         Raises
         ------
         ValueError
-            If the keys are not the arguments of one of the constructors, or the constructor refuses the values.
+            If the keys are not the arguments of one of the constructors, or the constructor rejects the values.
         """
         given = self.given_arguments() | others
         for make in self.makes:
@@ -196,7 +196,7 @@ def declare_table(
         Constructors: classes or functions with annotations and a docstring. If there are several, the file gives
         the arguments of one of them.
     tag : str
-        Name of a further key, which gives the kind of the table.
+        Name of an additional key, whose value is the kind of the table.
     in_a_file : callable, optional
         Maps the annotation of an argument to the type of its key in the file, for annotations that are not TOML
         types; returns None for an argument that is not a key.
@@ -227,7 +227,7 @@ def declare_table(
 
 
 class OneOf:
-    """A union of tables whose kinds differ in a key's value: ``Annotated[Declared, OneOf("distribution", …)]``.
+    """A union of tables distinguished by the value of a key: ``Annotated[Declared, OneOf("distribution", …)]``.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ class OneOf:
     in_a_file : callable, optional
         See `declare_table`.
     others : sequence of table
-        Kinds whose tables are written by hand.
+        Further kinds, whose tables are not made from constructors.
     """
 
     def __init__(
@@ -267,7 +267,7 @@ class Of:
     *makes : callable
         See `declare_table`.
     **renamed : str
-        Keys in the file with the names of their arguments, in place of which the file gives a name.
+        Names of arguments by the keys that replace them in the file. The value of such a key is a name.
     """
 
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
@@ -294,7 +294,7 @@ def inside(key: str, make: Maker) -> Maker:
 def with_keys[Table: TomlTable](
     fields: Mapping[str, Any],
 ) -> Callable[[type[Table]], type[Table]]:
-    """Return a decorator that adds keys to a table: `fields` has types and fields as `create_model` takes them."""
+    """Return a decorator that adds keys to a table; `fields` has types and fields as for `create_model`."""
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
@@ -318,14 +318,14 @@ def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:
-    """Return a phrase with each constructor's arguments that not all of the constructors have."""
+    """Return a phrase that lists, for each constructor, the arguments that not all constructors have."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(map(names_in_words, ways))
 
 
 def _descriptions(make: Maker) -> dict[str, str]:
-    """Return a dict of the descriptions of arguments, from the docstring's section of attributes or parameters."""
+    """Return the description of each argument, from the docstring's section of attributes or parameters."""
     text = inspect.getdoc(make) or ""
     section = re.search(r"(?:Attributes|Parameters)\n-+\n(.*?)(?:\n\n|\Z)", text, re.DOTALL)
     entries = re.findall(r"^([\w, ]+?) : .*\n((?:    .*\n?)*)", section[1] if section else "", re.MULTILINE)
@@ -333,7 +333,7 @@ def _descriptions(make: Maker) -> dict[str, str]:
 
 
 def tuple_as_list(annotation: object) -> Any:
-    """Return the type of a list for the type of a tuple, which TOML does not have; any other type as it is."""
+    """Return a list type for a tuple type, because TOML has no tuples; return any other type unchanged."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):
         return tuple_as_list(next(part for part in parts if get_origin(part) is tuple)) | None

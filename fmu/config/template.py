@@ -20,7 +20,7 @@ KINDS = tuple(_FILES)
 
 
 def template(kind: str) -> str:
-    """Return the text of the problem file of a kind, one of `KINDS`.
+    """Return the text of the problem file for a kind of model, one of `KINDS`.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def template(kind: str) -> str:
 
 
 def files(kind: str) -> tuple[str, ...]:
-    """Return the names of the files of a kind, one of `KINDS`, with the problem file first.
+    """Return the names of the files for a kind of model, one of `KINDS`, with the problem file first.
 
     Raises
     ------
@@ -44,14 +44,14 @@ def files(kind: str) -> tuple[str, ...]:
 
 
 def write_template(kind: str, directory: str | os.PathLike[str]) -> Path:
-    """Write the problem file of a kind, and the other files that it needs, to a directory.
+    """Write the problem file for a kind of model, and the other files that it needs, to a directory.
 
     Parameters
     ----------
     kind : str
         One of `KINDS`.
     directory : path-like
-        Directory for the files, made if it does not exist.
+        Directory for the files, created if it does not exist.
 
     Returns
     -------

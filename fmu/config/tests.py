@@ -32,7 +32,7 @@ _OF_TEST = re.compile(r"\btests\.(\d+)\b")
 
 
 class AddedMass(TomlTable):
-    """A point mass that was added for a test; a negative one was taken away."""
+    """A point mass that was added for a test; a negative mass was removed."""
 
     place: int | str
     """Node or named place."""
@@ -41,7 +41,7 @@ class AddedMass(TomlTable):
 
 
 class AddedSpring(TomlTable):
-    """A spring to the ground that was added for a test; a negative one was taken away."""
+    """A spring to the ground that was added for a test; a spring with negative stiffness was removed."""
 
     place: int | str
     """Node or named place."""
@@ -59,7 +59,7 @@ CovariateValue = Annotated[
 
 
 def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
-    """Return a covariate as `fmu.Test` takes it."""
+    """Return a covariate in the form that `fmu.Test` takes; None if it is missing."""
     if isinstance(given, Declared):
         prior: Prior = given.build()
         return prior
@@ -67,35 +67,36 @@ def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
 
 
 class TestTable(MeasurementTable):
-    """One of several tests: its modes, as in ``[measurement]``, and what is known to differ in it.
+    """One of several tests: its modes, as in ``[measurement]``, and its known differences from the other tests.
 
-    With ``data``, the test has frequency response functions, and its modes are picked in them. With ``campaign``,
-    the table stands for all tests in a file; its other keys apply to each of them.
+    With ``data``, the test has frequency response functions, and its modes are picked from them. With
+    ``campaign``, the table describes all tests in a file; its other keys apply to each of them.
     """
 
     __test__ = False
 
     sources: ClassVar[tuple[str, ...]] = (*MeasurementTable.sources, "campaign", "data")
     name: ParameterName = ""
-    """For tables and figures."""
+    """Name of the test in tables and figures."""
     campaign: FileName | None = None
-    """CSV table of several tests, relative to this file: one row per test, with its name, its group (may be
-    omitted), a column per mode with its label as header, in Hz, empty or nan where the test missed the mode, and a
-    column per covariate, such as the temperature. ``labels`` lists the columns with modes."""
+    """CSV table of several tests, relative to this file: one row per test. Its columns are the name, the group
+    (optional), the frequency of each mode in Hz with its label as header, empty or nan if the test missed the
+    mode, and covariates such as the temperature. ``labels`` lists the columns with modes."""
     data: FileName | None = None
-    """File of the frequency response functions of this test, relative to this file; the table [[error]] with
-    of = "frf" says how it is read."""
+    """File of the frequency response functions of this test, relative to this file; the [[error]] table with of =
+    "frf" says how to read it."""
     modes: list[Annotated[int, Field(ge=1)]] = []
-    """With data: the number of each resonance that is picked, where it is not that of the [[error]]."""
+    """With data: the mode number of each picked resonance, if it differs from the number in the [[error]]
+    table."""
     group: Annotated[str, Field(max_length=100)] = ""
     """State, place or season that several tests share."""
     covariates: dict[Name, CovariateValue] = {}
-    """What may have changed the structure, such as the temperature: a number, a distribution such as
-    { distribution = "normal", mean = 12.5, sd = 0.5 } if it is known with an error, or "missing"."""
+    """Conditions that may have changed the structure, such as the temperature: a number; if it is uncertain, a
+    distribution such as { distribution = "normal", mean = 12.5, sd = 0.5 }; or "missing"."""
     masses: list[AddedMass] = []
     springs: list[AddedSpring] = []
     known: dict[Name, float] = {}
-    """Parameters whose values are known in this test."""
+    """Parameters whose values in this test are known."""
 
     @model_validator(mode="after")
     def _is_test_or_campaign(self) -> Self:
@@ -122,7 +123,7 @@ class TestTable(MeasurementTable):
         return ModesGiven(MeasuredModes(mean, tuple(self.labels)))
 
     def _read_campaign(self, folder: Path) -> Campaign:
-        """Return the tests in the file of the campaign; BrokenError if there are errors in it."""
+        """Return the tests in the file of the campaign. Raise BrokenError if there are mistakes in it."""
         wrong: list[str] = []
         with reading("measurement.campaign"):
             try:
@@ -136,7 +137,7 @@ class TestTable(MeasurementTable):
         return found
 
     def _find_mistakes(self, found: Campaign) -> list[str]:
-        """Return a list of messages on a readable table that contradicts this one, or cannot be measured."""
+        """Return messages on a campaign file that is readable but inconsistent with this table or implausible."""
         missed = np.isnan(found.frequencies_hz).all(axis=0)
         rule = "must have a frequency in one line at least (got none); delete it here and in labels"
         wrong = [f"column {label}: {rule}" for label, none in zip(self.labels, missed, strict=True) if none]
@@ -152,12 +153,12 @@ class TestTable(MeasurementTable):
     def build_all(
         self, number: int, folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None
     ) -> list[PlacedTest]:
-        """Return a list of the tests that the table describes; BrokenError if they cannot be built.
+        """Return the list of tests that the table describes. Raise BrokenError if they cannot be built.
 
         Parameters
         ----------
         number : int
-            The number of this table in the file, from 0.
+            The index of this table in the file, from 0.
         folder, built, needs_trust
             See `MeasurementTable.build`.
         of_frfs : OfFRFs or None
@@ -180,7 +181,7 @@ class TestTable(MeasurementTable):
             raise BrokenError(ArgumentError.of(error).under(where)) from None
 
     def _pick(self, built: Built, are_data: bool, of_frfs: OfFRFs | None) -> ModalData:
-        """Return the resonances of the FRFs as modes; they are not used beside errors of modes of other tests."""
+        """Return the modes at the resonances of the FRFs. They are used in updating only if `are_data` is True."""
         assert of_frfs is not None  # otherwise there is an error in the file
         try:
             modes = of_frfs.table.pick(of_frfs.errors[self.name], built, self.modes)
@@ -191,7 +192,7 @@ class TestTable(MeasurementTable):
         return replace(modes, numbers=numbers, counterparts=numbers, labels=tuple(map(str, numbers)), use=use)
 
     def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
-        """Return a list of the tests of a campaign; `data` has all modes, with other frequencies."""
+        """Return the list of tests of a campaign; `data` has all modes, with frequencies to be replaced."""
         tests, wrong = [], Mistakes()
         for name, group, covariates, frequencies, number in zip(*campaign, strict=True):
             line = f"{self.campaign}, line {number}"
@@ -218,14 +219,14 @@ class TestTable(MeasurementTable):
 
 
 class OfFRFs(NamedTuple):
-    """The table of frequency response functions, and their errors in each test by the name of the test."""
+    """The table of frequency response functions, and their error model in each test by the name of the test."""
 
     table: FRFTable
     errors: Mapping[str, FRFErrors]
 
 
 class PlacedTest(NamedTuple):
-    """A test, the key of the problem file that gives it and, of a campaign, the file and line."""
+    """A test, the key of the problem file that gives it and, for a test of a campaign, the file and line."""
 
     test: Test
     where: str
@@ -235,7 +236,7 @@ class PlacedTest(NamedTuple):
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None = None
 ) -> tuple[list[PlacedTest], list[ArgumentError]]:
-    """Return the list of tests, and the list of errors in their tables."""
+    """Return the list of tests, and the list of mistakes in their tables."""
     tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
@@ -260,9 +261,9 @@ def variations(
 def in_the_file(
     error: TestsError, tables: Sequence[ParameterTable], tests: Sequence[PlacedTest]
 ) -> list[ArgumentError]:
-    """Return the list of errors of inconsistent tests, with their locations in the file.
+    """Return the list of mistakes in inconsistent tests, with their locations in the file.
 
-    Of the lines of a campaign that break one rule, the first is named.
+    If several lines of a campaign break the same rule, the first of them is named.
     """
     number = {table.name: i for i, table in enumerate(tables)}
     found: dict[tuple[str, str], ArgumentError] = {}

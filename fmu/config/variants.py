@@ -1,4 +1,4 @@
-"""Variants of a problem file that differ in the discrepancy of the model: the kinds of ``--discrepancy``."""
+"""Variants of a problem file with different discrepancies of the model: the kinds of ``--discrepancy``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Variant(NamedTuple):
     title : str
         Its name in tables.
     keys : mapping of str to object
-        The table ``[[discrepancy]]``; none if empty.
+        The keys of the table ``[[discrepancy]]``; empty if there is no discrepancy.
     """
 
     title: str
@@ -28,19 +28,19 @@ VARIANTS = {
     "embedded": Variant("embedded", {"kind": "embedded", "by": "common"}),
     "embedded-by-group": Variant("embedded by group", {"kind": "embedded", "by": "group"}),
 }
-"""The discrepancies by their names on the command line; the first one is the reference of comparisons."""
+"""The discrepancies by their names on the command line; comparisons use the first one as reference."""
 
 
 def with_discrepancy(text: str, variant: str) -> str:
-    """Return a problem file with another discrepancy of the model; all else, comments included, is kept.
+    """Return a problem file with another discrepancy of the model; everything else, comments included, is kept.
 
     Parameters
     ----------
     text : str
         The content of a valid problem file.
     variant : str
-        A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred relative error of all frequencies alike;
-        ``"modes"``, such errors with a part in common; ``"embedded"`` and ``"embedded-by-group"``, scatter of the
+        A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred relative error common to all frequencies;
+        ``"modes"``, such errors with a correlated part; ``"embedded"`` and ``"embedded-by-group"``, scatter of the
         parameters over the modes. A table ``[[discrepancy]]`` of the same kind in the file keeps its other keys.
     """
     import tomlkit

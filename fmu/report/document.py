@@ -281,7 +281,7 @@ class Verdict:
     reasons : tuple of str
         Reasons for the answer.
     said : str
-        A sentence shown beside the answer.
+        A sentence shown next to the answer.
     notes : tuple of str
         Further remarks on the question that are not reasons for the answer.
     """
@@ -362,7 +362,7 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def breaking_at_commas(text: str) -> str:
-    """Return a text whose lines break after commas only, for a narrow column."""
+    """Return a text whose lines break only after commas, for a narrow column."""
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 

@@ -184,7 +184,7 @@ def export(
 
 
 def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return a dict from each parameter of the structure to the inferred quantity exported as its value.
+    """Return a dict that maps each parameter of the structure to the inferred quantity exported as its value.
 
     This quantity is the parameter itself, the mean or median of its population, or the parameter's value in the
     first test or group.
@@ -198,7 +198,7 @@ def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, st
 
 
 def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return the name, trace and diagnosis of the given sampler, or by default of the one `choose_run` selects."""
+    """Return the name, trace and diagnosis of the given sampler; `choose_run` selects one if it is None."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
@@ -210,7 +210,7 @@ def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree,
 
 
 def read_problem(directory: Path, trace: xr.DataTree, model: Path | None = None) -> UpdatingProblem:
-    """Return the problem of a run, built again with its reduced model.
+    """Return the problem of a run, rebuilt with its reduced model.
 
     Raises
     ------
@@ -345,7 +345,7 @@ def write_matrices(
 
 
 def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, float], target: Path) -> set[str]:
-    """Write input decks from templates (`fmu.formats.decks`), and return the names in `values` that none uses."""
+    """Write input decks from templates (`fmu.formats.decks`), and return the names of unused `values`."""
     unused = set(values)
     for template in templates:
         text = read_deck(source / template)

@@ -1,6 +1,6 @@
 """The numbers plotted in a Matplotlib figure, for values at the pointer, for zooming and for CSV files.
 
-Matplotlib is the only renderer: the page shows its SVG, and the script responds on this SVG, so that print and
+Matplotlib is the only renderer: the page shows its SVG, and the script works on this SVG, so that print and
 screen show the same numbers. uPlot (50 kB) would draw every figure a second time and produces no SVG. Observable
 Plot with D3, Vega-Lite and Plotly's basic bundle would also draw every figure twice, and their sizes range from
 half of a page's 700 kB to more than all of it.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.typing import ColorType
 
 MOST_ORDINATES = 7_000
-"""About the largest number of ordinates kept per figure; longer paths are thinned to every k-th point."""
+"""Approximate largest number of ordinates kept per figure; longer paths are thinned to every k-th point."""
 _MOST_DRAWN = 12_000
 """Largest number of values (draws of parameters and frequencies) kept for the linked pair plots of a page."""
 _POINTS = 72.0
@@ -41,7 +41,7 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
     figure : Figure
         A figure whose layout is final.
     most : int
-        Approximate number of ordinates of paths that are kept.
+        Approximate largest number of path ordinates to keep.
 
     Returns
     -------

@@ -56,7 +56,7 @@ class OutputDirectory:
 
     @contextmanager
     def stage_files(self) -> Iterator[Path]:
-        """Yield an empty directory to write files into, which are published at the end unless an error occurs."""
+        """Yield an empty directory for files, which are published at the end unless an error occurs."""
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 MOST_LINES = 20_000
 """Largest number of elements of a structure that is shown."""
 _MOST_NUMBERS = 300_000
-"""Largest number of displacement values kept on a page; of a large mesh only the first modes are kept."""
+"""Largest number of displacement values on a page; for a large mesh only the first modes are kept."""
 _DETAILED = 2000
-"""Largest number of nodes for displacements of 16 bits; those of larger meshes have 8 bits, about one pixel."""
+"""Largest number of nodes with 16-bit displacements; larger meshes have 8 bits, accurate to about a pixel."""
 _CORNER = (0.6, 0.45)
 
 
@@ -75,7 +75,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
         One row per state and parameter. The columns are the mean and the standard deviation of the loss,
         ``eti90_lb``, ``eti90_ub``, and the probability that the loss is larger than `beyond`.
     beyond : str
-        The threshold of the loss as text: ``"5 %"``.
+        The threshold of the loss as text, such as ``"5 %"``.
     """
     said: dict[str, list[str]] = {}
     colourings = []
@@ -120,10 +120,10 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
 
 
 def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
-    """Return a dict of the relative change of each parameter from the start, its sd, and a text with both.
+    """Return a dict of the change of each parameter relative to its start value, its sd, and a text with both.
 
-    Change and sd are NaN for a parameter that the data did not inform. Parameters without a nonzero start value
-    are omitted.
+    The change and its sd are NaN for a parameter that the data did not inform. Parameters without a nonzero start
+    value are omitted.
     """
     left, found = not_informed(run.trace), {}
     for name in run.names:
@@ -138,7 +138,7 @@ def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
 
 
 def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, object]]:
-    """Return colour scales of the largest parameter change in each element, and of its standard deviation."""
+    """Return colour scales for the largest parameter change in each element and for its standard deviation."""
     known = _changes(run)
     ratio, spread = (np.array([known.get(name, (np.nan,) * 2)[k] for name in names]) for k in (0, 1))
     of_element = np.where(found.changed & np.isfinite(ratio), np.abs(ratio), -1.0)
@@ -153,7 +153,7 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return a dict of a colour scale for `values`, one share per element.
+    """Return a dict of a colour scale for `values`, one fraction per element.
 
     The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
     """
@@ -163,7 +163,7 @@ def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return a dict of texts for each mode: its label and its frequencies before, after and measured."""
+    """Return a dict of texts for each mode: its label, and its frequency before, after and measured."""
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []
     for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
@@ -174,9 +174,9 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
-    """Return a dict of displacements (mode, node, direction): at the start, at the mean and measured, expanded.
+    """Return a dict of displacements (mode, node, direction): before updating, posterior mean, and measured.
 
-    Large meshes have no expanded displacements.
+    The measured shapes are expanded to all nodes; they are omitted for large meshes.
     """
     bits = 16 if modes.sizes["node"] <= _DETAILED else 8
     moved = modes["displacement"].transpose("state", "mode", "node", "direction")
@@ -205,7 +205,7 @@ def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
 
 
 def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
-    """Return azimuth and elevation of the view in rad; a straight structure is seen so that its motion shows."""
+    """Return azimuth and elevation of the view in rad, such that the motion of a straight structure is visible."""
     wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
     moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))
     if wide.sum() == 1 and not wide[2]:

@@ -85,7 +85,7 @@ def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, object]:
 
 
 def _append_array(array: AnyArray, arrays: list[bytes]) -> dict[str, object]:
-    """Append an array at a multiple of four bytes, and return a dict of its offset in bytes, type and length."""
+    """Append an array, aligned to four bytes, and return a dict of its offset in bytes, type and length."""
     kept = array.astype(array.dtype.newbyteorder("<")).tobytes()
     at = sum(map(len, arrays))
     arrays.append(kept + b"\0" * (-len(kept) % 4))

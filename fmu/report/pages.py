@@ -123,15 +123,15 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
 
 
 def _judged_run(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run whose draws the verdicts on the model are based on, as `choose_run` selects it."""
+    """Return the run on whose draws the verdicts on the model are based, as selected by `choose_run`."""
     verdicts = {name: run.diagnosis for name, run in runs.items()}
     return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
-    """Return the verdicts on the samplers, then those on the model from the draws of the selected run.
+    """Return the verdicts on the samplers, then the verdicts on the model from the draws of the selected run.
 
-    The reasons for the verdicts on the model are on the page of the selected run only.
+    The reasons for the verdicts on the model are given only on the page of the selected run.
     """
     told = _judged_run(compared.runs)
     first, *others = (replace(one, reasons=(), notes=()) for one in of_the_model(told))
@@ -233,12 +233,12 @@ def publish_models(
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        One trace of each model, the reference first.
+        One trace of each model, with the reference model first.
     found : ModelComparison
     run_directory : path-like
         The page is ``report/index.html`` in this directory.
     others : mapping of str to str
-        Addresses of the models' own pages, relative to the page.
+        Addresses of the models' own pages, relative to this page.
     """
     first = next(iter(traces.values()))
     sections = (models.comparison(found), models.held_out(traces), models.misfit(traces), models.intervals(traces))

@@ -83,7 +83,7 @@ class ReportedRun:
 
     @property
     def priors(self) -> dict[str, str]:
-        """The prior of each parameter in words, in customary units; without parameters whose prior is unknown."""
+        """The prior of each parameter in words, in customary units; parameters with unknown priors are omitted."""
         known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
         return {p["name"]: breaking_at_commas(prior_in_words(p["prior"], p["unit"])) for p in known}
 

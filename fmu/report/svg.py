@@ -105,7 +105,7 @@ def _ticks_placed_once() -> Iterator[None]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Apply the layout of the figure once. Matplotlib would draw the whole figure an extra time to do so."""
+    """Apply the layout of the figure once; Matplotlib itself would draw the whole figure once more to do so."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()
@@ -117,7 +117,7 @@ def _arrange(figure: Figure) -> None:
 
 
 def _clean(tag: str, key: str, used: set[str]) -> str:
-    """Return a tag without font names, with rounded numbers, and with `key` before the ids that are used."""
+    """Return a tag without font names, with rounded numbers, and with `key` prefixed to the ids that are used."""
     tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
     tag = re.sub(r' d="([^"]*)"', _short_path, tag)
     tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _round_coordinates, tag)
@@ -129,7 +129,7 @@ def _clean(tag: str, key: str, used: set[str]) -> str:
 
 
 def _of_scheme(style: re.Match[str]) -> str:
-    """Return a style without spaces and with colours as CSS variables that default to the original colour."""
+    """Return a style without spaces and with colours as CSS variables that default to the original colours."""
     text = style[0].replace(": ", ":").replace("; ", ";")
     for colour, name in _OF_SCHEME.items():
         text = text.replace(colour, f"var(--{name},{colour})")
@@ -167,7 +167,7 @@ def _round_coordinates(attribute: re.Match[str]) -> str:
 
 
 def _short_path(attribute: re.Match[str]) -> str:
-    """Return a path attribute; a long path of straight lines has relative coordinates to a tenth of a point."""
+    """Return a path attribute; a long path of straight lines is written in relative tenths of a point."""
     path = attribute[1]
     if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):
         return _round_coordinates(attribute)
@@ -192,7 +192,7 @@ def _tenths(value: int) -> str:
 
 
 def _fewer_colours(data: re.Match[str]) -> str:
-    """Return PNG data with a palette of 32 colours, which takes a quarter of the space."""
+    """Return PNG data reduced to a palette of 32 colours, which takes a quarter of the space."""
     from PIL import Image
 
     file = io.BytesIO()

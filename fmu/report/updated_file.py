@@ -23,7 +23,7 @@ _FROM_PRIOR = "from the prior: the data did not inform it"
 def updated_text(
     text: str, starts: Mapping[str, float], pairing: str | None, about: str, from_prior: Collection[str] = ()
 ) -> tuple[str, list[str]]:
-    """Return a problem file with new start values, and the list of strings in it that may name files.
+    """Return a problem file with new start values, and the list of strings in it that may be file names.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def updated_text(
     starts : mapping of str to float
         The start value of each parameter and inferred standard deviation by its name, SI units.
     pairing : str or None
-        The pairing to write to the file, if it differs from that of the file; None to keep that of the file.
+        The pairing to write to the file; None to keep the pairing in the file.
     about : str
         The source of the values, written as a comment at the top.
     from_prior : collection of str
@@ -58,12 +58,12 @@ def updated_text(
 
 
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
-    """Copy the files that a problem file names, so that the updated one is complete.
+    """Copy the files that a problem file names, so that the updated problem file is complete.
 
     Returns
     -------
     dict of str to str
-        The new name of each copied file whose original name is that of an exported file, by the original name.
+        The new names of the copied files whose original names coincide with an exported file, by original name.
     """
     renamed = {}
     for word in dict.fromkeys(words):
@@ -85,7 +85,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
 
 
 def rename(text: str, names: Mapping[str, str]) -> str:
-    """Return a problem file in which file names are replaced as `names` maps them."""
+    """Return the text of a problem file in which the file names are replaced according to `names`."""
     import tomlkit
 
     if not names:
@@ -97,7 +97,7 @@ def rename(text: str, names: Mapping[str, str]) -> str:
 
 
 def _strings(part: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield the location of every string in a document: its table or array, and its key or index there."""
+    """Yield the location of every string in a document: the table or array that contains it, and its key there."""
     for key, value in part.items() if isinstance(part, Mapping) else enumerate(part):
         if isinstance(value, str):
             yield part, key

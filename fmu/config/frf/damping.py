@@ -40,11 +40,11 @@ _IN_A_FILE: dict[object, object] = {
     Any: FileName,
 }
 _WITHOUT_NAMES = ("at", "to", "matrix")
-"""Keys whose texts are not names of parameters."""
+"""Keys whose text values are not names of parameters."""
 
 
 def _in_a_file(annotation: object) -> object:
-    """Return the type that an argument of a damping model has in a file, where a parameter has its name."""
+    """Return the TOML type for an argument of a damping model; a parameter is given by its name."""
     return _IN_A_FILE.get(annotation) or tuple_as_list(annotation)
 
 
@@ -65,7 +65,7 @@ DampingTable = Annotated[
 
 
 def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
-    """Yield the key and the name of each parameter that the tables of damping refer to."""
+    """Yield the key and the name of each parameter that the damping tables refer to."""
     for i, table in enumerate(tables):
         for key, value in table.given_arguments().items():
             if key not in _WITHOUT_NAMES:
@@ -73,7 +73,7 @@ def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
 
 
 def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
-    """Yield the key and the name of each parameter in a value at a key."""
+    """Yield the key and the name of each parameter in `value`, which is at the key `where` of the file."""
     match value:
         case str():
             yield where, value
@@ -86,7 +86,7 @@ def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ParameterTable]:
-    """Return the list of the parameters of the structure: those that no table of damping refers to."""
+    """Return the parameters of the structure, which no damping table refers to."""
     named = {name for _, name in names_in(damping)}
     return [table for table in parameters if table.name not in named]
 
@@ -94,9 +94,9 @@ def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]
 def mistakes_of_damping(
     parameters: Sequence[ParameterTable], damping: Sequence[Declared], has_tests: bool
 ) -> list[ArgumentError]:
-    """Return a list of the errors in the names of damping parameters and in their tables.
+    """Return the list of mistakes in the names of damping parameters and in their tables.
 
-    The parameters may vary between tests if the file `has_tests`.
+    The parameters may vary between tests only if `has_tests` is True.
     """
     found, known = Mistakes(), [table.name for table in parameters]
     used = {name for _, name in names_in(damping)}
@@ -122,7 +122,7 @@ def mistakes_of_damping(
 def build_damping(
     tables: Sequence[Declared], parameters: Mapping[str, Parameter], folder: Path
 ) -> list[DampingModel]:
-    """Return the list of damping models; BrokenError if a file cannot be read or a table is invalid.
+    """Return the list of damping models. Raise BrokenError if a file cannot be read or a table is invalid.
 
     Parameters
     ----------

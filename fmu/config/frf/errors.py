@@ -60,47 +60,48 @@ class FRFTable(Declared):
     of: Literal["frf"]
     data: FileName | None = None
     """File of the FRFs, relative to this file: .uff, .unv, .csv, .tsv, .txt, .npz, .mat, .h5 or .hdf5. With
-    [[tests]], each of them has the key data, and this table is for all."""
+    [[tests]], each test has its own key data, and this table applies to all of them."""
     kind: FRFKind | None = None
-    """Response divided by force; needed where the file does not say it."""
+    """Response divided by force; needed if the file does not specify it."""
     factor: Positive = 1.0
     """Converts the values of the file to SI units: 9.80665 for accelerations in g."""
     drives: _POINTS = []
-    """Place and direction of the force of each FRF, where the file does not name them."""
+    """Place and direction of the force of each FRF, if the file does not name them."""
     responses: _POINTS = []
-    """Place and direction of the response of each FRF, where the file does not name them."""
+    """Place and direction of the response of each FRF, if the file does not name them."""
     nodes: dict[Annotated[str, Field(pattern=r"^\d{1,9}$")], Place] = {}
-    """Of a universal file: the place in the model of each node of the file; other nodes are skipped."""
+    """For a universal file: the place in the model of each node in the file; other nodes are skipped."""
     variables: dict[Name, Name] = {}
-    """Of arrays: the names in the file of frequencies_hz, values, coherence, sd, averages, kind, drives and
-    responses."""
+    """For a file of arrays: the names in the file of frequencies_hz, values, coherence, sd, averages, kind, drives
+    and responses."""
     frfs: list[Annotated[int, Field(ge=1)]] = []
-    """Numbers of the FRFs to take, from 1 in the order of the file; all if not given."""
+    """Numbers of the FRFs to use, counted from 1 in the order of the file; all if not given."""
     band: Bands | None = None
-    """Lowest and highest frequency to use, Hz; or several such pairs. Lines between used ones that are left out
+    """Lowest and highest frequency to use, in Hz, or several such pairs. Lines left out between the used lines
     test the updated model."""
     use: list[bool] = []
     """Which FRFs the parameters are updated with, one true or false per FRF; all if not given. The others are
     predicted, and test the updated model."""
     averages: Annotated[float, Field(gt=1)] | None = None
-    """Number of independent averages behind the coherences of the file, from which the errors follow."""
+    """Number of independent averages from which the coherences in the file were computed; it determines the
+    errors."""
     sd: Positive | None = None
-    """Standard deviation of the real and of the imaginary part, in SI units, instead of that in the file."""
+    """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
     scale: Literal["linear", "log"] = "linear"
-    """Errors of H, or of log H, that is of log amplitude and phase."""
+    """Whether the errors are those of H, or of log H, that is of log-amplitude and phase."""
     model_sd: Deviation = 0.0
-    """Error of the model relative to |H|, or the name of a noise to be inferred."""
+    """Standard deviation of the model error relative to |H|, or the name of a noise to be inferred."""
     gain_sd: ByChannel = 0.0
-    """Standard deviation of the relative error of the gain of each response channel: one number, or { "tip z" =
+    """Standard deviation of the relative gain error of each response channel: one number for all, or { "tip z" =
     0.05 } for some channels."""
     delay_sd: ByChannel = 0.0
-    """Standard deviation of the delay of each response channel, s, as one number or by channel."""
+    """Standard deviation of the delay of each response channel in s: one number for all, or by channel."""
     modes: list[Annotated[int, Field(ge=1)]] = []
-    """Without [measurement]: the number of each resonance that is picked, from 1 among the elastic modes of the
-    model that move a response (with pairing = "index": in the spectrum); 1, 2, … if not given."""
+    """Without [measurement]: the mode number of each picked resonance, counted from 1 among the elastic modes of
+    the model that move a response. With pairing = "index", counted in the whole spectrum. 1, 2, … if not given."""
 
     def read(self, file: Path) -> FRFData:
-        """Return the FRFs of a file; BrokenError or ValueError if they cannot be read."""
+        """Return the FRFs in a file. Raise BrokenError or ValueError if the file or the settings are invalid."""
         with reading("data"):
             data = read_frf(
                 file,
@@ -132,7 +133,7 @@ class FRFTable(Declared):
     def errors(
         self, file: Path, damping: Sequence[DampingModel], test: str | None, **inferred: object
     ) -> FRFErrors:
-        """Return the errors of the FRFs of a file; BrokenError if the file or the settings are invalid.
+        """Return the error model of the FRFs in a file. Raise BrokenError if the file or the settings are invalid.
 
         Parameters
         ----------
@@ -141,7 +142,7 @@ class FRFTable(Declared):
         test : str or None
             The test in which they were measured, if there are several.
         **inferred
-            The Parameter for each key whose value is the name of a noise.
+            The Parameter for each key whose value is the name of a noise table.
         """
         try:
             data = self.read(file)
@@ -152,9 +153,9 @@ class FRFTable(Declared):
             raise BrokenError(_in_the_file(error)) from None
 
     def pick(self, errors: FRFErrors, built: Built, numbers: Sequence[int] = ()) -> ModalData:
-        """Return the resonances of the FRFs as modes at sensors of the model; BrokenError if they do not fit.
+        """Return the modes at the resonances of the FRFs. Raise BrokenError if they do not fit the model.
 
-        `numbers` are those of the modes, if they are not the `modes` of the table.
+        `numbers` are the mode numbers to use instead of the `modes` of the table, if not empty.
         """
         try:
             modes = pick_modes(errors.data, tuple(numbers or self.modes))
@@ -194,19 +195,19 @@ def read_frfs(
     damping: Sequence[DampingModel],
     **inferred: object,
 ) -> tuple[list[FRFErrors], list[ArgumentError]]:
-    """Return the list of the errors of the FRFs of all files, and the list of errors in files and settings.
+    """Return the error models of the FRFs in all files, and the list of mistakes in the files and settings.
 
     Parameters
     ----------
     number : int
-        The number of the table in ``[[error]]``, from 0.
+        The index of the table in ``[[error]]``, from 0.
     table : FRFTable
     files : sequence of FRFFile
     folder : Path
         The folder to which file names are relative.
     damping : sequence of DampingModel
     **inferred
-        The Parameter for each key whose value is the name of a noise.
+        The Parameter for each key whose value is the name of a noise table.
     """
     models: list[FRFErrors] = []
     found: dict[str, ArgumentError] = {}
@@ -226,7 +227,7 @@ def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str]
 
 
 def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> float | dict[Dof, float]:
-    """Return the value for each channel of the data that is named in a file, as ``"tip z"``."""
+    """Return a setting by response channel, named in the file as ``"tip z"``; return a number unchanged."""
     if not isinstance(given, Mapping):
         return given
     channels = {f"{place} {direction}": (place, direction) for place, direction in data.responses}
@@ -237,6 +238,6 @@ def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> 
 
 
 def _in_the_file(error: ValueError) -> ArgumentError:
-    """Return an error at a key of the table; what is wrong in the file is an error of the key ``data``."""
+    """Return an error at the key of the table that it concerns; errors in the FRF file are at the key ``data``."""
     wrong = ArgumentError.of(error).replace_key("path", "data").replace_key("numbers", "modes")
     return wrong if wrong.key.split(".")[0] in FRFTable.model_fields else ArgumentError("data", str(wrong))

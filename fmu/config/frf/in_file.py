@@ -1,4 +1,4 @@
-"""How the tables of a problem file on frequency response functions, damping and tests belong together."""
+"""Relations between the tables of a problem file on frequency response functions, damping and tests."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from fmu.posterior.frf.errors import FRFErrors
 
 
 class FRFsInFile(NamedTuple):
-    """The table ``[[error]]`` of frequency response functions, and the files that it or ``[[tests]]`` name.
+    """The ``[[error]]`` table of frequency response functions, and the files named in it or in ``[[tests]]``.
 
     Attributes
     ----------
     number : int
-        The number of the table in ``[[error]]``, from 0.
+        The index of the table in ``[[error]]``, from 0.
     table : FRFTable
     files : list of FRFFile
     """
@@ -48,11 +48,11 @@ class FRFsInFile(NamedTuple):
         return partial(read_frfs, files=self.files, folder=folder, damping=damping)
 
     def by_test(self, errors: Sequence[ErrorModel]) -> OfFRFs:
-        """Return the table with the errors of the FRFs of each test."""
+        """Return the table with the error model of the FRFs in each test."""
         return OfFRFs(self.table, {str(one.test): one for one in errors if isinstance(one, FRFErrors)})
 
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
-        """Return the list of errors in the keys ``data``: tests need one unless there are other errors."""
+        """Return the mistakes in the keys ``data``; each test needs one unless there are other error models."""
         where = f"error.{self.number}.data"
         if tests is None:
             return [ArgumentError(where, "is missing")] * (self.table.data is None)
@@ -68,9 +68,9 @@ class FRFsInFile(NamedTuple):
         ]
 
     def place(self, mistake: ArgumentError, errors: Sequence[ErrorModel]) -> ArgumentError:
-        """Return a mistake in the FRFs, found beside the model, at the key of the file that names them.
+        """Return a mistake in the FRFs, found during the build, with the key of the file that names them.
 
-        The key of the mistake is ``data…``, or ``error.i.data…`` with the number of one of the `errors`.
+        The key of `mistake` is ``data…``, or ``error.i.data…`` where i is an index in `errors`.
         """
         first, *others = mistake.key.split(".")
         if "data" not in (first, *others[1:2]):
@@ -86,7 +86,7 @@ def mistakes_of_frfs(
     parameters: Sequence[ParameterTable],
     tests: Sequence[TestTable] | None,
 ) -> list[ArgumentError]:
-    """Return the list of errors between the tables of FRFs, of damping and of tests."""
+    """Return the list of inconsistencies between the tables of FRFs, damping and tests."""
     if found is None:
         rule = 'is used by frequency response functions only, [[error]] with of = "frf"'
         places = [*(file.where for file in _files_of(tests or [])), *["damping"] * bool(damping)]
@@ -98,6 +98,6 @@ def mistakes_of_frfs(
 
 
 def _files_of(tests: Sequence[TestTable]) -> list[FRFFile]:
-    """Return the list of the files of FRFs that the tests name."""
+    """Return the list of the FRF files that the tests name."""
     named = [(i, test.data, test.name) for i, test in enumerate(tests)]
     return [FRFFile(f"tests.{i}.data", data, name) for i, data, name in named if data is not None]

@@ -1,4 +1,4 @@
-"""``[model] type = "command"``: a program that is run on a filled input deck for every theta."""
+"""``[model] type = "command"``: a program that fmu runs on a filled input deck for every theta."""
 
 from __future__ import annotations
 
@@ -26,37 +26,42 @@ class CommandTable(ModelTable):
 
     type: Literal["command"]
     template: FileName
-    """The input deck, from the folder of this file, with {NAME} for the value of each parameter: {E1}, {E1:.9e},
-    or {E1:8} in a field of Nastran. plate.inp.in gives plate.inp."""
+    """The input deck, relative to the folder of this file, with {NAME} for the value of each parameter: {E1},
+    {E1:.9e}, or {E1:8} in a Nastran field. plate.inp.in becomes plate.inp."""
     command: Annotated[list[str], Field(min_length=1, max_length=1000)]
-    """The program and its arguments; {job} and {deck} are the deck's name without and with its suffix."""
+    """The program and its arguments; {job} and {deck} are the name of the deck without and with its suffix."""
     frequencies: Annotated[FoundFrequencies, Of("frequencies", FoundFrequencies)] | None = None
-    """How to find the frequencies in what the program writes."""
+    """How to find the frequencies in the program's output."""
     reader: ReaderName | None = None
-    """Instead of frequencies: reads a file of the program, shapes at the sensors too; "f06" for Nastran's."""
+    """Instead of frequencies: the format of a file that the program writes, which may contain shapes at the
+    sensors; "f06" for Nastran."""
     result: FileName | None = None
-    """The file for the reader, with {job} and {deck}; by default {job}.dat of CalculiX, {job}.f06, {job}.uff and
-    {job}.npz."""
+    """The file for the reader, with {job} and {deck}; by default {job}.dat for CalculiX, otherwise {job}.f06,
+    {job}.uff or {job}.npz."""
     inputs: list[FileName] = []
-    """Other files that the program needs, from the folder of this file; what bulk data include is added."""
+    """Other files that the program needs, relative to the folder of this file; files included in Nastran bulk data
+    are added automatically."""
     timeout: Positive = 600.0
-    """Seconds that a run may take."""
+    """Longest time of a run in s."""
     retries: Annotated[int, Field(ge=0, le=100)] = 0
-    """How often a run that fails is repeated."""
+    """How many times a failed run is repeated."""
     keep: bool = False
-    """Whether to keep the folders of all runs, not only of some that fail."""
+    """Whether to keep the folders of all runs, and not only of some failed runs."""
     store: FileName = "solves"
-    """Folder of what was solved, from the folder of this file. It is not solved again."""
+    """Folder of solved runs, relative to the folder of this file; these are not solved again."""
     step: Annotated[float, Field(gt=0, le=0.1)] = STEP
-    """Of central differences, relative to the range of each parameter."""
+    """Step of central differences, relative to the range of each parameter."""
 
     @property
     def decks(self) -> list[str]:
-        """The list of the template's name."""
+        """A list that contains the name of the template."""
         return [self.template]
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model; BrokenError if a file or the program is missing, or the template lacks a parameter."""
+        """Return the model.
+
+        Raises BrokenError if a file or the program is missing, or the template lacks a parameter.
+        """
         given = {key: value for key, value in self if key != "type"}
         try:
             return Built(CommandModel([p.name for p in parameters], folder=folder, **given), {})

@@ -30,21 +30,21 @@ MOST_EXPORTS = 1000
 
 
 class ExportedTable(TomlTable):
-    """Matrices that the program exported, and the values of its parameters in that run, SI units."""
+    """Matrices exported by a program, and the values of the parameters in that run, SI units."""
 
     stiffness: FileName | None = None
-    """From the folder of this file: the stiffness, or both matrices. Without it the program is run, with
-    [model.runs]."""
+    """File of the stiffness matrix or of both matrices, relative to the folder of this file. If not given,
+    [model.runs] runs the program."""
     mass: FileName | None = None
-    """The mass, if it is in a file that is not beside the stiffness under the program's own name."""
+    """File of the mass matrix, unless it is next to the stiffness file under the program's own name."""
     values: dict[Name, float] = {}
-    """Of the parameters: all in the first export, those that differ from it in the others."""
+    """Parameter values: all of them for the first export, only those that differ from the first for the others."""
     check: bool = False
-    """Not used, but to be reproduced by what is recovered from the others."""
+    """Whether this export is only a check: the matrices recovered from the other exports must reproduce it."""
 
 
 class _Files(NamedTuple):
-    """The values, the files and the deck of one export."""
+    """The parameter values, the files and the deck of one export."""
 
     values: Mapping[str, float]
     stiffness: Path
@@ -53,46 +53,49 @@ class _Files(NamedTuple):
 
 
 class RunsTable(TomlTable):
-    """A program that fmu starts for exports, once: a run for each property, or one for each of the exports."""
+    """A program that fmu runs once to export matrices: a run for each parameter, or for each of the exports."""
 
     template: FileName
-    """The input deck, from the folder of this file, with {NAME} for the value of each parameter: {E1}, {E1:.9e},
-    or {E1:8} in a field of Nastran. plate.inp.in gives plate.inp."""
+    """The input deck, relative to the folder of this file, with {NAME} for the value of each parameter: {E1},
+    {E1:.9e}, or {E1:8} in a Nastran field. plate.inp.in becomes plate.inp."""
     command: Annotated[list[str], Field(min_length=1, max_length=1000)]
-    """The program and its arguments; {job} and {deck} are the deck's name without and with its suffix."""
+    """The program and its arguments; {job} and {deck} are the name of the deck without and with its suffix."""
     stiffness: FileName
-    """The file of the stiffness, or of both matrices, that the program writes, with {job} and {deck}."""
+    """The file that the program writes with the stiffness matrix or both matrices; it may contain {job} and
+    {deck}."""
     mass: FileName | None = None
-    """The mass, if it is in a file that is not beside the stiffness under the program's own name."""
+    """File of the mass matrix, unless it is next to the stiffness file under the program's own name."""
     inputs: list[FileName] = []
-    """Other files that the program needs, from the folder of this file; what bulk data include is added."""
+    """Other files that the program needs, relative to the folder of this file; files included in Nastran bulk data
+    are added automatically."""
     timeout: Positive = 600.0
-    """Seconds that a run may take."""
+    """Longest time of a run in s."""
     store: FileName = "exports"
-    """Folder of the runs, from the folder of this file. They are not repeated."""
+    """Folder of the runs, relative to the folder of this file; finished runs are not repeated."""
 
 
 class ExportsTable(ModelTable):
-    """Matrices at first values, and with each parameter changed; ``free = true`` if nothing holds it."""
+    """Matrices at initial values and with each parameter changed; ``free = true`` for an unsupported structure."""
 
     type: Literal["exports"]
     exports: Annotated[list[ExportedTable], Field(max_length=MOST_EXPORTS)] = []
-    """Not needed with [model.runs]: there is then one run for each parameter, in which it has its start value and
-    all others have a thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
+    """Not needed with [model.runs], where there is one run per parameter: this has its start value, all others a
+    thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
     runs: RunsTable | None = None
     mesh: FileName | None = None
-    """Nodes and elements, for pictures; with [model.runs] the deck by default."""
+    """File of nodes and elements for pictures; the deck by default with [model.runs]."""
     tied_modes: FileName | None = None
-    """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
+    """File of modes that CalculiX printed at all nodes, from which the motion of nodes eliminated by ``*TIE`` is
+    found."""
     free: bool = False
 
     @property
     def decks(self) -> list[str]:
-        """The list of the template's name, if there is one."""
+        """A list that contains the name of the template; empty if there is no template."""
         return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the list of errors: values of unknown parameters, parameters without a value, keys of frames."""
+        """Return the list of mistakes in the exports and in the parameters, whose values the exports must give."""
         names = [parameter.name for parameter in parameters]
         found = Mistakes()
         if self.runs is None and len(self.exports) < 2:
@@ -112,7 +115,7 @@ class ExportsTable(ModelTable):
         return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model that is recovered from the exports; BrokenError if this fails."""
+        """Return the model that is recovered from the exports. Raise BrokenError if this fails."""
         start = {p.name: p.start for p in parameters}
         units = unit_values(start)
         tables = self.exports or [ExportedTable(values=one, check=one is units[-1]) for one in units]
@@ -153,7 +156,7 @@ class ExportsTable(ModelTable):
     def _run_program(
         self, folder: Path, tables: Sequence[ExportedTable], values: Sequence[Mapping[str, float]]
     ) -> dict[int, _Files]:
-        """Run the program for the exports that have no files; return the files of its runs by their index."""
+        """Run the program for the exports without files; return the files by the index of the export."""
         which = [i for i, one in enumerate(tables) if one.stiffness is None]
         if self.runs is None or not which:
             return {}
@@ -180,7 +183,7 @@ class ExportsTable(ModelTable):
         }
 
     def _mesh(self, folder: Path, decks: Sequence[Path]) -> Mesh | None:
-        """Return the mesh of the file, or of the first deck that was run if it is of a kind that is read."""
+        """Return the mesh in the file ``mesh``, or in the first deck if its format can be read, or None."""
         path, key = None if self.mesh is None else folder / self.mesh, "model.mesh"
         if path is None and decks and decks[0].suffix.lower() in MESHES:
             path, key = decks[0], "model.runs.template"

@@ -23,7 +23,7 @@ from fmu.formats.shown import names_shown, quote
 from fmu.types import Direction, FloatArray, Positive
 
 MOST_ELEMENTS = 10_000
-"""Largest number of elements: 60 000 degrees of freedom, one second per solve. Condense larger structures and give
+"""Largest number of elements: 60 000 degrees of freedom, one second per solve. Condense larger structures and use
 their matrices."""
 _SHAPES = [
     inside("rectangle", Section.rectangle),
@@ -38,18 +38,18 @@ def _spring(
     stiffness: dict[Direction, Positive] = {},  # noqa: B006
     tied: list[Direction] = [],  # noqa: B006
 ) -> JointSpring:
-    """Springs along global axes, in N/m and N·m/rad: of one ``point`` to the ground, or between two ``points``.
+    """Springs along global axes, in N/m and N·m/rad, from one ``point`` to the ground or between two ``points``.
 
     Parameters
     ----------
     point : str
         The spring is between this point and the ground.
     points : list of str
-        The spring is between these two.
+        The spring is between these two points.
     stiffness : table
-        N/m of x, y, z and N·m/rad of rx, ry, rz.
+        Stiffness in N/m along x, y, z and in N·m/rad about rx, ry, rz.
     tied : list of str
-        Directions in which two points at the same place move as one.
+        Directions in which two points at the same place move together.
     """
     if (point is None) == (points is None):
         raise ValueError("must have either point (to the ground) or points (between two)")
@@ -61,7 +61,7 @@ def _spring(
 
 
 class Member(TomlTable):
-    """A straight line of `elements` elements between two points; `y_direction` as in `fmu.ElementGroup`."""
+    """A straight member between two points with `elements` elements; `y_direction` as in `fmu.ElementGroup`."""
 
     start: Annotated[Name, Field(alias="from")]
     end: Annotated[Name, Field(alias="to")]
@@ -73,7 +73,7 @@ class Member(TomlTable):
 
 
 class FrameTable(ModelTable):
-    """A structure of beam elements; ``free = true`` if nothing holds it, on purpose."""
+    """A structure of beam elements; ``free = true`` if it is intentionally unsupported."""
 
     type: Literal["frame"]
     points: Annotated[dict[Name, Vector], Field(min_length=2)]
@@ -87,11 +87,14 @@ class FrameTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the list of errors between tables, such as unknown names and members without length."""
+        """Return the list of mistakes between tables, such as unknown names and members without length."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model and the node of every point; BrokenError if it cannot be built. No files are read."""
+        """Return the model, built without reading files, and the node of every point.
+
+        Raises BrokenError if this fails.
+        """
         mesh = _Mesh(self)
         updates = {table.name: mesh.targets(table) for table in parameters}
         try:
@@ -105,7 +108,7 @@ class FrameTable(ModelTable):
 
     @property
     def groups(self) -> list[str]:
-        """Sorted list of the names of the groups of members."""
+        """The sorted names of the groups of members."""
         return sorted({member.group for member in self.members})
 
     def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
@@ -116,7 +119,7 @@ class FrameTable(ModelTable):
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
-        """Return the errors in targets: unknown names or directions, and quantities updated by two parameters."""
+        """Return the mistakes in targets: unknown names or directions, or quantities updated by two parameters."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
@@ -221,7 +224,7 @@ class _Mesh:
                 self._node_at(end)
 
     def frame(self) -> Frame:
-        """Return the frame that the table describes; ValueError if it cannot be built."""
+        """Return the frame that the table describes. Raise ValueError if it cannot be built."""
         table, at = self.table, self.node_of
         supports = {
             at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)
@@ -240,7 +243,7 @@ class _Mesh:
         return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
-        """Return the targets of a parameter in the form that `Frame.separable` takes: a list, or a Factor."""
+        """Return the targets of a parameter in the form that `Frame.separable` takes: a list or a Factor."""
         named = table.names_at(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
@@ -249,7 +252,7 @@ class _Mesh:
         return Factor(targets) if table.scaling == "factor" else list(targets)
 
     def label(self, node: int) -> str:
-        """Return a label of a node: the name of its point, or "between …" with the names of a member's ends."""
+        """Return a label for a node: the name of its point, or "between …" with the names of the member's ends."""
         return next((name for name, number in self.node_of.items() if number == node), self._between.get(node, ""))
 
     def _node_at(self, point: str) -> int:
@@ -280,7 +283,7 @@ _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 
 def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
-    """Return a list with an error for each key that a parameter with this property must not have."""
+    """Return a mistake for each key that a parameter with this property must not have."""
     wrong = [other for other in _SINGULAR if other != key and table.names_at(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
@@ -291,7 +294,7 @@ def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
 
 
 def _ends(spring: JointSpring) -> list[str]:
-    """Return the list of the points at the ends of a spring: one or two."""
+    """Return the names of the one or two points at the ends of a spring."""
     return [str(end) for end in spring.nodes if end is not None]
 
 

@@ -1,4 +1,4 @@
-"""``[model.points]`` and ``[[model.lines]]``: the lines in pictures of a structure that is given by matrices."""
+"""``[model.points]`` and ``[[model.lines]]``: the lines drawn to picture a structure that is given by matrices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fmu.formats.shown import names_shown, quote
 
 
 class LineTable(TomlTable):
-    """A line of the pictures between two points, in the colours of the parameters of its member."""
+    """A line drawn between two points, in the colours of the parameters that change its member."""
 
     points: Annotated[list[Name], Field(min_length=2, max_length=2)]
     parameters: list[Name] = []
@@ -26,7 +26,7 @@ class LineTable(TomlTable):
 def mistakes_of_lines(
     points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
 ) -> list[ArgumentError]:
-    """Return the list of errors in lines: unknown points or parameters, points without lines, lines and a mesh."""
+    """Return the mistakes in lines: unknown points or parameters, points without lines, or lines beside a mesh."""
     names = [parameter.name for parameter in parameters]
     found = Mistakes()
     for i, line in enumerate(lines):

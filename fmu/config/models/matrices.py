@@ -1,6 +1,6 @@
 """``[model] type = "matrices"``: stiffness and mass terms, from files of other programs or as rows of numbers.
 
-`fmu.formats.matrices.read` lists the file formats and explains how programs export them.
+`fmu.formats.matrices.read` lists the file formats and explains how to export them from other programs.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ MOST_TERMS = 1000
 
 
 class TermTable(TomlTable):
-    """One matrix, in SI units, times the product of parameters to their powers."""
+    """A matrix, in SI units, multiplied by powers of parameters."""
 
     file: FileName | None = None
-    """From the folder of this file."""
+    """File of the matrix, relative to the folder of this file."""
     matrix: Annotated[list[list[float]], Field(min_length=1), one_length("column")] | None = None
-    """The rows of the matrix, for a small model without a file."""
+    """The rows of the matrix, for a small model without files."""
     variable: FileName | None = None
-    """Name of the matrix in a file that has several."""
+    """Name of the matrix, if the file contains several."""
     triangle: bool | Literal["lower", "upper"] = False
-    """Whether the file has one triangle of the matrix only."""
+    """Whether the file contains only one triangle of the matrix."""
     factor: float = 1.0
-    """Multiplies the matrix."""
+    """A number by which the matrix is multiplied."""
     powers: dict[Name, float] = {}
-    """Parameters that multiply the matrix, with their powers."""
+    """Parameters by which the matrix is multiplied, with their powers."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -63,30 +63,34 @@ class TermTable(TomlTable):
         return "matrix" if self.file is None else "file"
 
     def read(self, folder: Path) -> Labelled:
-        """Return the matrix with the names of its rows, if its file has them; ValueError if it cannot be read."""
+        """Return the matrix with the names of its rows, if its file has them.
+
+        Raises ValueError if it cannot be read.
+        """
         if self.file is not None:
             return read_labelled(folder / self.file, self.variable, self.triangle)
         return Labelled(symmetric_matrix(np.array(self.matrix), self.triangle), None)
 
 
 class MatricesTable(ModelTable):
-    """K(theta) and M(theta) as sums of matrices; ``free = true`` if nothing holds the structure, on purpose."""
+    """K(theta) and M(theta) as sums of matrices; ``free = true`` if the structure is intentionally unsupported."""
 
     type: Literal["matrices"]
     stiffness: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
     mass: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
     dofs: list[SensorTable] | None = None
     mesh: FileName | None = None
-    """Nodes and elements for the pictures, in a file of CalculiX, Abaqus, Ansys or Nastran."""
+    """File of nodes and elements for pictures, from CalculiX, Abaqus, Ansys or Nastran."""
     tied_modes: FileName | None = None
-    """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
+    """File of modes that CalculiX printed at all nodes, from which the motion of nodes eliminated by ``*TIE`` is
+    found."""
     points: dict[Name, Vector] = {}
-    """Coordinates for the pictures, where there is no mesh, m; sensors at places of these names are drawn."""
+    """Coordinates in m for pictures, if there is no mesh; sensors at places with these names are drawn."""
     lines: list[LineTable] = []
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the list of errors between tables, such as powers of unknown parameters and unused parameters."""
+        """Return the mistakes between tables, such as powers of unknown parameters and unused parameters."""
         names = [parameter.name for parameter in parameters]
         found, used = Mistakes(), set[str]()
         for where, term in self._terms():
@@ -103,7 +107,7 @@ class MatricesTable(ModelTable):
         return found + self._of_powers(parameters) + super().mistakes(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model of the matrices, which are read from files; BrokenError if it cannot be built."""
+        """Return the model of the matrices, which are read from files. Raise BrokenError if it cannot be built."""
         read: list[Labelled] = []
         found: list[ArgumentError] = []
         for where, table in self._terms():
@@ -149,12 +153,12 @@ class MatricesTable(ModelTable):
         return Built(model, {}, model.n_dof)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
-        """Return the list of pairs of a term's key in the file and its table, stiffness first."""
+        """Return a list with the key in the file and the table of each term, stiffness terms first."""
         both = (("stiffness", self.stiffness), ("mass", self.mass))
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
     def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return an error for each parameter and term whose power may be undefined between the bounds."""
+        """Return a mistake for each parameter and term whose power may be undefined between the bounds."""
         found = Mistakes()
         for where, term in self._terms():
             for i, table in enumerate(parameters):
@@ -176,10 +180,10 @@ class MatricesTable(ModelTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
-        """Return the matrices expanded to the same degrees of freedom, and the names of these.
+        """Return the matrices expanded to the same degrees of freedom, and the names of these degrees of freedom.
 
-        If files name their degrees of freedom, a matrix may lack those at which it is zero. Degrees of freedom at
-        which all matrices are zero are removed, as are those that Abaqus marks as supported, by 1e36 in the
+        If the files name their degrees of freedom, a matrix may omit those at which it is zero. Degrees of freedom
+        at which all matrices are zero are removed, as are those that Abaqus marks as supported by 1e36 in the
         stiffness.
         """
         rows = [one.matrix.shape[0] for one in read]
@@ -216,7 +220,7 @@ class MatricesTable(ModelTable):
         return f"{where}.{table.source}"
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
-        """Raise BrokenError if matrices differ in size, or only some files name their degrees of freedom."""
+        """Raise BrokenError if matrices differ in size, or if only some files name their degrees of freedom."""
         n, found = read[0].matrix.shape[0], Mistakes()
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]

@@ -1,6 +1,6 @@
 """``[model] type = "opensees"``: a Python file whose function ``build(theta)`` makes the model with openseespy.
 
-Loading such a problem file runs the code that it names.
+Loading such a problem file runs the code in the Python file.
 """
 
 from __future__ import annotations
@@ -25,24 +25,25 @@ WHERE = "model.file"
 
 
 class OpenSeesTable(ModelTable):
-    """A model in OpenSees; ``free = true`` if nothing holds it, on purpose."""
+    """A model in OpenSees; ``free = true`` if the structure is intentionally unsupported."""
 
     type: Literal["opensees"]
     file: Annotated[str, StringConstraints(max_length=500, pattern=PYTHON_FILE)]
-    """Beside this file; its function build(theta) makes the model, with parameters in SI units."""
+    """A Python file in the folder of this file; its function build(theta) makes the model from parameters in SI
+    units."""
     per_theta: bool = False
-    """Whether the model is assembled and solved anew at every theta. Otherwise its matrices are taken at several
-    theta, and their dependence on the parameters is found from these: sums of products of powers."""
+    """Whether the model is assembled and solved anew at every theta. If not, the dependence of its matrices on the
+    parameters is found from their values at several theta: sums of products of powers."""
     modes: Annotated[int, Field(ge=1, le=MOST_DOFS)] = MODES
-    """With per_theta: how many modes are computed."""
+    """With per_theta: number of modes to compute."""
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
     """With per_theta: step of the central differences, relative to the range of each parameter."""
     store: FileName = "solves"
-    """With per_theta: folder, from that of this file, of solves that took 0.05 s or longer."""
+    """With per_theta: folder, relative to the folder of this file, for solves that took 0.05 s or longer."""
     free: bool = False
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Import the file and return the model that its function ``build`` makes; BrokenError on failure."""
+        """Import the file and return the model that its function ``build`` makes. Raise BrokenError on failure."""
         build = import_function(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
         start = np.array([table.start for table in parameters], dtype=float)
         bounds = [[np.nan if end is None else end for end in (table.lower, table.upper)] for table in parameters]

@@ -27,16 +27,17 @@ from fmu.formats.shown import in_words, quote
 
 WHERE = "model.function"
 LARGEST_MODULE = 2**24
-"""Largest size of a module's source file in bytes, since Python reads it as a whole."""
+"""Largest size in bytes of a module's source file, which Python reads as a whole."""
 
 
 class PythonTable(ModelTable):
-    """A function from theta to frequencies in Hz, or to frequencies, shapes and gradients.
+    """A function of theta that returns frequencies in Hz, or frequencies, shapes and gradients.
 
-    ``batched = true`` if it takes many theta at once; ``step`` is that of central differences, relative to the
-    range of each parameter, where the function gives no gradient; ``store`` is the folder, from that of this file,
-    of what took 0.05 s or longer: it is not solved again while the function's file and your own modules that it
-    imports are the same. The start is solved in every run, and must give what is stored.
+    Set ``batched = true`` if it takes many theta at once. ``step`` is the step of central differences, relative to
+    the range of each parameter, if the function returns no gradient. ``store`` is a folder, relative to the folder
+    of this file, for results that took 0.05 s or longer. They are reused while the function's file and your own
+    modules that it imports are unchanged. In every run the function is called at the starting point, and must
+    reproduce the stored result.
     """
 
     type: Literal["python"]
@@ -46,7 +47,7 @@ class PythonTable(ModelTable):
     store: FileName = "solves"
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model of the function, which is imported; BrokenError if it cannot be imported."""
+        """Return the model of the function, which is imported. Raise BrokenError if it cannot be imported."""
         function = import_function(self.function, folder)
         store = folder / self.store if source_digest(function) else None
         model = BlackBoxModel(
@@ -144,7 +145,7 @@ def _not_importable(name: str, error: BaseException, where: str) -> BrokenError:
 
 
 def _beside(name: str, folder: Path) -> Path | None:
-    """Return the source file of a module in a folder, or None if there is none."""
+    """Return the source file of a module in a folder; None if the folder has no such module."""
     path = folder.joinpath(*name.split("."))
     files = (path / "__init__.py", path.with_name(f"{path.name}.py"))
     return next((file for file in files if not why_no_file(file)), None)
@@ -152,7 +153,7 @@ def _beside(name: str, folder: Path) -> Path | None:
 
 @contextmanager
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
-    """Within a with block, import from a folder first; then remove its modules. No bytecode is written."""
+    """Within a with block, search a folder first for imports; then remove its modules. No bytecode is written."""
 
     def of_folder(module: object) -> bool:
         if not issubclass(type(module), ModuleType):  # sys.modules may contain objects of any type

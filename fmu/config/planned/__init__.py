@@ -1,1 +1,1 @@
-"""Tables of tests that have not been made yet."""
+"""Tables of tests that have not been carried out yet."""

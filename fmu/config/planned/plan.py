@@ -22,7 +22,7 @@ ModeNumber = Annotated[int, Field(ge=1, le=MOST_MODES)]
 
 
 class ChangeTable(TomlTable):
-    """A known change of the structure for a second test."""
+    """A known change made to the structure for a second test."""
 
     name: ParameterName
     masses: list[AddedMass] = []
@@ -30,58 +30,61 @@ class ChangeTable(TomlTable):
 
 
 class DamageTargetTable(TomlTable):
-    """A decision about damage that a test is for: whether a parameter has lost more than a share of its value."""
+    """The decision that a test is for: whether a parameter has lost more than a given fraction of its value."""
 
     of: Annotated[list[Name], Field(min_length=1)]
-    """Parameters with ``varies = "damage"`` or by group; with one test, those that may lose stiffness after it."""
+    """Parameters that vary with ``varies = "damage"`` or by group; with one test, those that may lose stiffness
+    after it."""
     beyond: Annotated[float, Field(gt=0, lt=0.5)]
     """The loss that matters, such as 0.1."""
     prior: PriorTable | None = None
     """With one test: prior of each loss, by default normal with mean 0 and sd 0.3, between −0.5 and 0.95."""
 
     def build(self) -> DamageTarget:
-        """Return the target."""
+        """Return the target that the table describes."""
         return DamageTarget(self.of, self.beyond, None if self.prior is None else self.prior.build())
 
 
 class PlanTable(TomlTable):
-    """A modal test that is planned: places of sensors, modes, errors and the target."""
+    """A planned modal test: sensor positions, modes, errors and the target."""
 
     sensors: Annotated[int, Field(ge=1)] = 12
-    """Number of sensors to choose, besides those that are mounted."""
+    """Number of sensors to choose, in addition to those already mounted."""
     candidates: Annotated[list[SensorTable], Field(max_length=_MOST_CANDIDATES)] | None = None
-    """Place and direction of each candidate; all translations of all nodes in ``directions`` if not given."""
+    """Place and direction of each candidate sensor; if not given, all translations of all nodes in
+    ``directions``."""
     directions: Annotated[list[Literal["x", "y", "z"]], Field(min_length=1)] = ["x", "y", "z"]
-    """Directions of candidates, where these are not given."""
+    """Directions of the candidates, if these are not given."""
     triaxial: bool = False
-    """Whether one sensor reads all candidate directions of its place."""
+    """Whether one sensor measures all candidate directions at its place."""
     mounted: list[SensorTable] = []
-    """Sensors that stay where they are."""
+    """Sensors that are already in place and stay there."""
     exclude: list[int | str] = []
-    """Places out of reach."""
+    """Places that cannot be reached."""
     min_distance: Annotated[float, Field(ge=0)] = 0.0
-    """Smallest distance of two sensors, m."""
+    """Smallest distance between two sensors in m."""
     costs: dict[Name, Positive] = {}
-    """Cost of a sensor by its place; 1 elsewhere."""
+    """Cost of a sensor by its place; 1 at other places."""
     budget: Positive | None = None
     """Largest total cost of the chosen sensors."""
     modes: Annotated[int, Field(ge=1, le=MOST_MODES)] | Annotated[list[ModeNumber], Field(min_length=1)] | None = (
         None
     )
-    """Number of modes to be measured, the lowest elastic ones that candidates see; or their numbers, from 1."""
+    """Number of modes to be measured (the lowest elastic modes that move a candidate), or a list of their numbers
+    from 1."""
     frequency_sd: NumberOrNumbers | None = None
-    """Relative standard deviation of the frequencies in one test: one, or one per mode."""
+    """Relative standard deviation of the frequencies in one test: one for all modes, or one per mode."""
     shape_sd: Annotated[float, Field(gt=0, le=1)] = 0.02
-    """Standard deviation of a component of a shape, relative to its largest component at the candidates."""
+    """Standard deviation of the components of a shape, relative to its largest component at the candidates."""
     drift: Annotated[float, Field(ge=0)] = 0.0
-    """Relative standard deviation of the frequencies that repeated tests do not reduce."""
+    """Relative standard deviation of the frequency errors that repeating the test does not reduce."""
     target: list[Name] | dict[Name, float] | None = None
-    """Parameters that the test is for, or the weights of a combination; all parameters alike if not given."""
+    """Parameters that the test is for, or the weights of a linear combination; all parameters equally if not
+    given."""
     damage: DamageTargetTable | None = None
     """The decision about damage that the test is for, instead of a target."""
     like: ParameterName | None = None
-    """With several tests, the one that the planned test resembles in its group and its changes; the last if not
-    given."""
+    """With several tests, the test whose group and changes the planned test shares; the last test if not given."""
     changes: list[ChangeTable] = []
     """Known changes of the structure, one of which a second test may have."""
 
@@ -101,7 +104,7 @@ class PlanTable(TomlTable):
         return _MODES if self.modes is None else self.modes if isinstance(self.modes, int) else max(self.modes)
 
     def all_sensors(self, built: Built) -> tuple[Dof, ...]:
-        """Return the candidates and the mounted sensors of a model that has no list of its own.
+        """Return the candidate and mounted sensors, for a model that has no degrees of freedom of its own.
 
         Raises
         ------
@@ -115,7 +118,7 @@ class PlanTable(TomlTable):
         return tuple(dict.fromkeys(every))
 
     def options(self, built: Built) -> dict[str, Any]:
-        """Return the arguments of `fmu.plan` other than the problem."""
+        """Return the arguments of `fmu.plan`, except for the problem."""
         given = None if self.candidates is None else _sensors(self.candidates, built)
         if given is None and built.separable is not None:
             given = [dof for dof in built.separable.dofs if dof[1] in self.directions]

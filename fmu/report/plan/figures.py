@@ -22,18 +22,23 @@ _MOST_NAMES = 40
 
 
 def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
-    """Draw the structure in 3-D with the sensors, numbered in their order; mounted ones are grey.
+    """Draw the structure in 3-D with its sensors, numbered in the order of the plan; mounted sensors are grey.
 
     Parameters
     ----------
     plan : Plan
-        With the places of its candidates.
+        A plan with the coordinates of its candidate sensors.
     structure : SeparableModel
-        With a geometry.
+        A model with a geometry.
 
     Returns
     -------
     Axes
+
+    Raises
+    ------
+    ValueError
+        If the plan has no coordinates or the structure no geometry.
     """
     geometry, places = structure.geometry, plan.places
     if geometry is None or places is None:
@@ -66,7 +71,7 @@ def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
 
 
 def view_of(nodes: FloatArray) -> FloatArray:
-    """Return the axes of the picture, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
+    """Return the axes of the picture, shape (2, 3): face-on for a plane structure, otherwise oblique."""
     extent = np.ptp(nodes, axis=0)
     flat = extent <= 1e-6 * extent.max()
     if not flat.any():
@@ -77,7 +82,7 @@ def view_of(nodes: FloatArray) -> FloatArray:
 
 
 def plot_information(plan: Plan) -> Axes:
-    """Draw the expected information over the number of sensors, with the bound and the customary choices."""
+    """Draw the expected information against the number of sensors, with its bound and the customary choices."""
     curve = plan.with_bounds()
     axes = style.new_figure(style.NARROW, 3.4).subplots()
     axes.plot(curve.index, curve["information"], marker="o", markersize=4, color=style.VERMILLION, label=PLANNED)
@@ -96,7 +101,7 @@ def plot_information(plan: Plan) -> Axes:
 
 
 def plot_expected_sds(plan: Plan) -> Axes:
-    """Draw the expected standard deviations relative to those before the test, for each parameter."""
+    """Draw the expected standard deviation of each parameter, relative to the one before the test."""
     table = plan.parameters()
     names = [style.literal(str(name)) for name in table.index[:_MOST_NAMES]]
     axes = style.new_figure(style.NARROW, 0.9 + 0.28 * len(names)).subplots()
@@ -117,7 +122,10 @@ def plot_expected_sds(plan: Plan) -> Axes:
 
 
 def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) -> Axes:
-    """Draw real against expected standard deviations of simulated tests, relative to the plan."""
+    """Draw actual against expected standard deviations in simulated tests.
+
+    Both are relative to the standard deviations expected for the plan.
+    """
     axes = style.new_figure(style.NARROW, 3.6).subplots()
     unit = found.expected[PLANNED]
     colours = (style.VERMILLION, style.GREY, style.BLACK)

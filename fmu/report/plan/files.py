@@ -1,4 +1,4 @@
-"""The files of a planned test: its page, the sensors as CSV and universal file, and a measurement to fill in."""
+"""The files of a planned test: its page, the sensors as CSV and universal files, and a measurement to fill in."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ SENSORS, GEOMETRY, MEASUREMENT = "sensors.csv", "geometry.uff", "measurement.tom
 
 @check_arguments
 def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: SimulatedTests | None = None) -> Path:
-    """Write the page of a plan (index.html), sensors.csv, measurement.toml and, if places are known, geometry.uff.
+    """Write the page of a plan, its sensors, a measurement to fill in and, if coordinates are known, a geometry.
+
+    The files are ``index.html``, ``sensors.csv``, ``measurement.toml`` and ``geometry.uff``.
 
     Parameters
     ----------
@@ -29,7 +31,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
     directory : path-like
         Output directory, created if it does not exist.
     simulated : SimulatedTests, optional
-        Of `fmu.simulate_plan`, for the page.
+        The result of `fmu.simulate_plan`, shown on the page.
 
     Returns
     -------
@@ -39,7 +41,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
     Raises
     ------
     ValueError
-        If a file would be overwritten that fmu did not write.
+        If this would overwrite a file that fmu did not write.
     """
     output = OutputDirectory(directory)
     page = f"{INDEX}.html"
@@ -56,7 +58,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 
 
 def measurement_table(plan: Plan) -> str:
-    """Return ``[measurement]`` of a problem file with the planned sensors, and expected values to be replaced."""
+    """Return the ``[measurement]`` table of a problem file with the planned sensors and values to replace."""
     seen, modes = plan.design.found.nominal, list(plan.design.modes)
     f = seen.frequencies[0, modes]
     rows = plan.design.candidates.rows(plan.every)
@@ -79,7 +81,7 @@ def measurement_table(plan: Plan) -> str:
 
 
 def _quote(value: object) -> str:
-    """Return a place or a name as TOML writes it."""
+    """Return a node or a name in TOML notation."""
     if isinstance(value, int | np.integer):
         return str(int(value))
     text = str(value).replace("\\", "\\\\").replace('"', '\\"')

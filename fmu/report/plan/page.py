@@ -177,7 +177,7 @@ def _show_simulated_tests(found: SimulatedTests) -> PageSection:
 
 
 def table_of(caption: str, table: pd.DataFrame) -> PageTable:
-    """Return a data frame as a table of a page."""
+    """Return a data frame as a table on a page."""
     header = tuple(str(name).replace("_", " ") for name in (table.index.name, *table.columns))
     rows = tuple((str(i), *map(cell, row)) for i, row in zip(table.index, _rows(table), strict=True))
     return PageTable(caption, header, rows)

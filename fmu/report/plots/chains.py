@@ -121,7 +121,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
     """Draw ArviZ's rank plots, one row per parameter; chains with the same distribution stay near zero.
 
     The plot shows the difference between the distribution of a chain's ranks among all draws and the uniform
-    distribution. The p-value is that of a multi-chain test of uniformity; if it is below 1 %, the deviating ranks
+    distribution. The p-value is from a multi-chain test of uniformity; if it is below 1 %, the deviating ranks
     are marked. The test assumes independent draws, so the chains are thinned to their effective sample size, but
     to at least 20 and at most 500 draws per chain.
 
@@ -309,7 +309,7 @@ def plot_running_means(
 
 
 def _logarithmic_steps(axes: Axes) -> None:
-    """Set a logarithmic abscissa of steps, with tick labels in decimal notation."""
+    """Make the abscissa of steps logarithmic, with tick labels in decimal notation."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
     axes.set_xscale("log")

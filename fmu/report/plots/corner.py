@@ -34,7 +34,7 @@ def plot_corner(
     figure: Figure | None = None,
     names: Sequence[str] | None = None,
 ) -> style.AxesArray:
-    """Draw all marginals and all pairs of a posterior, and mark the start, the bounds and the maximum.
+    """Draw all marginals and all pairs of a posterior, and mark the starting point, the bounds and the maximum.
 
     Contours enclose 50 % and 90 % of the draws. Parameters that the data did not inform have grey names.
 
@@ -191,6 +191,6 @@ def _arrange_ticks(panel: Axes, most: int) -> None:
 
 
 def _line_within(draw: Callable[..., object], value: float, limits: tuple[float, float]) -> None:
-    """Draw a line at a bound that lies within the limits, ends included."""
+    """Draw a line at a bound if it is between the limits or at one of them."""
     if limits[0] <= value <= limits[1]:
         draw(value, color=style.BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

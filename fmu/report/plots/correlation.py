@@ -1,4 +1,4 @@
-"""Figures of the agreement of test and model: MAC matrices, and CoMAC and ECoMAC of each sensor."""
+"""Figures of the agreement between test and model: MAC matrices, and CoMAC and ECoMAC of each sensor."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _OF_A_MODE = 0.28
 
 @dataclass(frozen=True)
 class Frequencies:
-    """A set of frequencies to compare with the measured ones.
+    """A set of frequencies to compare with the measured frequencies.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Frequencies:
     filled : bool
         Whether the markers are filled.
     interval_hz : array_like, shape (2, n_modes), optional
-        The lower and upper ends of an interval of each frequency in Hz.
+        The lower and upper ends of an interval for each frequency in Hz.
     """
 
     label: str
@@ -113,8 +113,8 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     The frequencies before updating are drawn if the trace stores them. Those after updating are the posterior
     means, with the 90 % interval of a new measurement including noise, or without noise if no noise is modelled.
     For repeated tests, a new measurement is the mean of as many tests, and the 90 % interval of one more test is
-    drawn beside it. Where the modes are no data, as beside frequency response functions alone, the intervals are
-    without noise.
+    drawn beside it. If the parameters are updated with frequency response functions alone, the intervals exclude
+    noise.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def _new_figure(labels: Sequence[str]) -> Figure:
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the errors, in %, of each measured frequency predicted from the other modes.
+    """Draw the error, in %, of each measured frequency as predicted from the other modes.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 
 
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw each measured frequency with its posterior predictive distribution, eq. (10).
+    """Draw each measured frequency with its posterior predictive distribution (eq. 10 of the paper).
 
     For repeated tests, this is the distribution of the mean of the tests. The single tests are drawn beside the
     predictive interval of one more test.

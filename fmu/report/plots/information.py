@@ -26,7 +26,7 @@ MOST_MEASURED, _WRITTEN = 40, 12
 def plot_marginals(
     trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
 ) -> style.AxesArray:
-    """Draw the densities of each parameter before and after updating, with the start and the maximum.
+    """Draw the densities of each parameter before and after updating, with the starting point and the maximum.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     """Draw the sensitivity matrix of the frequencies.
 
     An entry is the change of a frequency, in standard deviations of its error, for a parameter change of one prior
-    standard deviation. The model is linearised at the highest maximum, or at the start if no maximum was searched
-    for. Other measured quantities are drawn only if there are no frequencies.
+    standard deviation. The model is linearised at the highest maximum, or at the starting point if no maximum was
+    searched for. Other measured quantities are drawn only if there are no frequencies.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of several models of the same data: predictions of modes left out, and parameters."""
+"""Figures of several models of the same data: predictions of held-out modes, and parameters."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _ROW = 0.16
 
 
 def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a colour for each model; the first one, the reference, is grey."""
+    """Return a dict of a colour for each model; the first model, the reference, is grey."""
     palette = [style.GREY, *style.PALETTE]
     return {name: palette[k % len(palette)] for k, name in enumerate(names)}
 
 
 def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = None) -> Axes:
-    """Draw the errors, in %, of modes predicted from the others by each model, with 90 % intervals.
+    """Draw the errors, in %, of each model's prediction of a mode from the other modes, with 90 % intervals.
 
     Parameters
     ----------
     tables : mapping of str to pandas.DataFrame
-        Results of `fmu.leave_one_out` with the same modes, by model.
+        For each model, the result of `fmu.leave_one_out`; all must have the same modes.
     figure : Figure, optional
 
     Returns
@@ -55,9 +55,9 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
 
 
 def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> Axes:
-    """Draw mean and 90 % interval of each parameter of the first model by every model, over the start value.
+    """Draw the mean and 90 % interval of each parameter from every model, divided by the start value.
 
-    Parameters that start at 0 are drawn in SI units.
+    The parameters are those of the first model. Parameters that start at 0 are drawn in SI units.
 
     Parameters
     ----------

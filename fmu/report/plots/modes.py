@@ -49,7 +49,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     Raises
     ------
     ValueError
-        If the trace has no MAC, or no MAC of the given state.
+        If the trace has no MAC, or none for the given state.
     """
     state = MEAN if state is None else state
     modes = _modes(trace, "mac")

@@ -97,7 +97,7 @@ def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
-    """Draw the parameter axis, and the ranges between the bounds and the start values where these are finite."""
+    """Draw the ranges between the bounds and the start values, each only if finite, and label the axis."""
     x = np.arange(len(members))
     lower, upper, start = (
         np.array([constant(trace, which, name) / style.unit_of(trace, name).factor for name in members])

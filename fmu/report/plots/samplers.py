@@ -178,7 +178,7 @@ def plot_growth(
     search: float = 0.0,
     figure: Figure | None = None,
 ) -> Axes:
-    """Draw the smallest effective sample size over model solves, as the runs grew.
+    """Draw the smallest effective sample size against the number of model solves as each run grew.
 
     A dot marks where a run first met the convergence criterion.
 
@@ -189,7 +189,7 @@ def plot_growth(
     grown : mapping of str to Growth, optional
         The result of ``growth(trace)`` for each trace, if already computed.
     search : float
-        Number of model solves of the search for maxima, added to those of each run.
+        Number of model solves used by the search for maxima, added to the solves of each run.
     figure : Figure, optional
 
     Returns

@@ -77,7 +77,7 @@ def tint(base: str, share: float) -> tuple[float, float, float]:
 
 
 def chain_colours(trace: xr.DataTree) -> list[str]:
-    """Return the list of the colours of the chains; the colours repeat after the end of `PALETTE`."""
+    """Return the colours of the chains; the colours repeat after the end of `PALETTE`."""
     return [PALETTE[chain % len(PALETTE)] for chain in range(trace["posterior"].sizes["chain"])]
 
 
@@ -180,7 +180,7 @@ class RotatedLabels(TypedDict, total=False):
 
 
 def rotate_labels(labels: Sequence[str], width: float) -> RotatedLabels:
-    """Return options that rotate the tick labels; empty if they fit side by side in a width in inches."""
+    """Return options that rotate the tick labels, or no options if they fit side by side in `width` inches."""
     if max(map(len, labels)) * _TICK_LETTER <= width / len(labels):
         return {}
     return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

@@ -25,7 +25,7 @@ _BAR = {"elinewidth": 1.6, "capsize": 0, "marker": "o", "markersize": 3.5, "line
 def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Draw the value in each test of every parameter with a population, and the population.
 
-    The band is the mean ± sd of the population (for a log-normal population, in the logarithm), which shows the
+    The band is the mean ± sd of the population (for a log-normal population, of the logarithm), which shows the
     variability of the structure. The bars are the central 90 % intervals of the values, which show the uncertainty
     of the estimates.
 
@@ -81,7 +81,7 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesA
 
 
 def _sd_in_tests(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the posterior mean of the standard deviation of the population of `name` in each test, (n_tests,)."""
+    """Return the posterior mean of the population's sd of `name` in each test, shape (n_tests,)."""
     means = {group: float(trace["posterior"][k].mean()) for group, k in sds_of_population(trace, name).items()}
     groups = [str(test["group"]) for test in problem_of(trace)["tests"]]
     return np.array([means.get(group, next(iter(means.values()))) for group in groups])
@@ -95,7 +95,7 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     trace : xarray.DataTree
         A trace with losses, as `fmu.damage` requires.
     beyond : float
-        The threshold of the loss as a share of one.
+        The threshold of the loss as a fraction.
     figure : Figure, optional
 
     Returns
@@ -125,14 +125,15 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
 def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
     """Draw, against time, the probability that a loss is larger than `beyond`, and the losses.
 
-    The band of a loss is its central 90 %. Vertical bands are the central 90 % of the dates.
+    The band around a loss is its central 90 % interval. Vertical bands are the central 90 % intervals of the
+    dates.
 
     Parameters
     ----------
     trace : xarray.DataTree
         A trace with damage at an unknown date (`fmu.UndatedDamage`).
     beyond : float
-        The threshold of the loss as a share of one.
+        The threshold of the loss as a fraction.
     figure : Figure, optional
 
     Returns
@@ -166,12 +167,12 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
 
 
 def _time_of(trace: xr.DataTree, name: str) -> str:
-    """Return the covariate that is the time of a parameter's damage; empty for the order of the tests."""
+    """Return the covariate that serves as time for a parameter's damage; empty if the order of the tests does."""
     return str(problem_of(trace)["by_date"][name])
 
 
 def _times(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the times of the tests, (n_tests,), for the damage of a parameter."""
+    """Return the time of each test, shape (n_tests,), on the time axis of a parameter's damage."""
     tests, by = problem_of(trace)["tests"], _time_of(trace, name)
     return np.array([test["covariates"][by] if by else t + 1.0 for t, test in enumerate(tests)])
 

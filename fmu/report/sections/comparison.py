@@ -64,7 +64,7 @@ class Compared:
 
     @classmethod
     def of(cls, runs: Mapping[str, ReportedRun]) -> Compared:
-        """Return the comparison of the given runs."""
+        """Return the comparison of the given runs, with everything that the sections share."""
         traces = {name: run.trace for name, run in runs.items()}
         grown = {name: growth(trace) for name, trace in traces.items()}
         agreed = agreement(traces, {name: run.summary for name, run in runs.items()})

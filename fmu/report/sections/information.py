@@ -26,7 +26,7 @@ LOOK_AT_SENSITIVITY = (
 
 
 def marginals(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the prior and posterior density of each parameter."""
+    """Return the section on the prior and posterior densities of each parameter."""
     title, found = "Prior and posterior", information(run.trace)
     if found is None:
         return Omitted(title, "the trace has no draws from the prior")

@@ -1,4 +1,4 @@
-"""The page that compares models of the same data: which is preferred, and where the misfit lives."""
+"""The page that compares models of the same data: which is preferred, and which parameters show a misfit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SURE = 0.95
 
 
 def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return the verdicts: which model is the most probable, which predicts best, and where the misfit lives."""
+    """Return the verdicts: the most probable model, the best predictions, and the parameters with a misfit."""
     table = found.table
     known = table["probability"].dropna()
     best = str(known.idxmax()) if len(known) else ""
@@ -40,7 +40,10 @@ def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple
 
 
 def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return the verdict on where the misfit lives, by the model with the most scatters, if there is one."""
+    """Return the verdict on the parameters that show a misfit; empty if no model has an inferred scatter.
+
+    It is based on the model with the most inferred scatters.
+    """
     name, found = _most_scatters(traces)
     if not found:
         return ()
@@ -54,14 +57,14 @@ def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
 
 
 def _most_scatters(traces: Mapping[str, xr.DataTree]) -> tuple[str, tuple[Scatter, ...]]:
-    """Return the name of the model with the most inferred scatters, and these."""
+    """Return the name of the model with the most inferred scatters, and these scatters."""
     every = {name: scatters(trace) for name, trace in traces.items()}
     name = max(every, key=lambda one: len(every[one]))
     return name, every[name]
 
 
 def comparison(found: ModelComparison) -> PageSection:
-    """Return the section with the table of the comparison."""
+    """Return the section with the table that compares the models."""
     caption = (
         "Models of the same measured data. Probability: if all models were equally probable before the test. "
         "z: the error of a mode predicted from the others, in standard deviations. elpd: the log-density of what "
@@ -74,7 +77,7 @@ def comparison(found: ModelComparison) -> PageSection:
 
 
 def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
-    """Return the section with the predictions of each mode from the others, by every model."""
+    """Return the section with every model's prediction of each mode from the other modes."""
     title, tables = "Each mode predicted from the others", common_modes(traces)
     if not tables or not len(next(iter(tables.values()))):
         return Omitted(title, "no mode was left out by all models")
@@ -100,7 +103,7 @@ def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
 
 
 def misfit(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
-    """Return the section on the scatter of every group."""
+    """Return the section on the scatter of the parameters over the modes, for every group of parameters."""
     rows = [_scatter_row(name, one) for name, trace in traces.items() for one in scatters(trace)]
     title = "Where the misfit lives"
     if not rows:
@@ -130,7 +133,7 @@ def _scatter_row(name: str, one: Scatter) -> tuple[str, ...]:
 
 
 def intervals(traces: Mapping[str, xr.DataTree]) -> PageSection:
-    """Return the section on the parameters by every model."""
+    """Return the section that compares the parameters inferred with every model."""
     reference = next(iter(traces))
     ratios = interval_ratios(traces, reference)
     header = ("parameter", *map(str, ratios.columns))

@@ -102,7 +102,7 @@ def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
 
 
 def _beside(found: float, allowed: float) -> tuple[str, str]:
-    """Return the texts of an error and of the largest allowed error, with enough digits to tell them apart."""
+    """Return an error and its largest allowed value as texts, with enough digits to tell them apart."""
     text = significant(found, 2)
     return apart(found, allowed, digits=2)[0] if text == significant(allowed, 2) else text, given(allowed)
 
@@ -126,7 +126,7 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
 def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
     """Return the list of assumptions and the table of the errors of the measured frequencies, if known.
 
-    The caption contains `inferred`, a sentence that says at which value an inferred σ is given.
+    The caption contains `inferred`, a sentence that says at which value an inferred σ is shown.
     """
     if not found.errors:
         return (Items(found.sentences),)
@@ -164,7 +164,7 @@ def settings(run: ReportedRun) -> PageSection:
 
 
 def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the name and the text of each entry of nested settings; long lists are given by size and range."""
+    """Yield the name and text of each entry of nested settings; long lists are described by size and range."""
     if isinstance(value, dict) and value:
         for key, inner in value.items():
             yield from _flat(inner, f"{name}, {_plain(key)}" if name else _plain(key))

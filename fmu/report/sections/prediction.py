@@ -99,7 +99,7 @@ def _has_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]:
-    """Return a table of the predictions by the model alone, and with its error and the noise."""
+    """Return a table of the predictions of the model alone, and of those that include model error and noise."""
     rows = []
     for name, (_, row) in zip(names, table.iterrows(), strict=True):
         n = decimals(float(row["noisy_sd"]))

@@ -1,4 +1,4 @@
-"""The section on the agreement of test and model at each sensor, before and after updating: CoMAC and ECoMAC."""
+"""The section on the agreement of test and model at the sensors (CoMAC, ECoMAC), before and after updating."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmu.report.run import ReportedRun
 
 
 def sensors(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section with CoMAC and ECoMAC of each sensor, at the start and at the posterior mean."""
+    """Return the section with CoMAC and ECoMAC of each sensor, at the starting point and at the posterior mean."""
     title = "Test and model at the sensors"
     before, after = (correlations_of(run.trace, state) for state in (START, MEAN))
     if not after:
@@ -26,7 +26,7 @@ def sensors(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _of_one(before: Correlation, after: Correlation) -> list[Part]:
-    """Return the sensors of a single test, with a picture."""
+    """Return the warnings, picture and table of the sensors of a single test."""
     names = after.sensors
     rows = tuple(
         (names[j], *(fixed(float(x[j]), 2) for x in (before.comac, after.comac, before.ecomac, after.ecomac)))

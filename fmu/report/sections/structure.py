@@ -47,7 +47,7 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
-    """Return the legend of a drawing with the colour of each parameter, None if a parameter changes no element."""
+    """Return the legend of a drawing with the colour of each parameter, None if it changes no element."""
     entries: dict[str, list[str]] = {}
     for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
         if colour is not None:
@@ -132,7 +132,7 @@ def directions(found: Identifiability, lead: str, drawn: FloatArray | None = Non
 
 
 def _contraction(run: ReportedRun, found: Information) -> PageTable:
-    """Return the table of prior and posterior moments, with parameters that the data did not inform in grey."""
+    """Return the table of prior and posterior moments; parameters that the data did not inform are grey."""
     rows = []
     for k, name in enumerate(run.names):
         unit, prior = run.unit(name), run.trace["prior"][name].to_numpy()
@@ -195,7 +195,7 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
 
 
 def pairing(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on changes of the mode pairing over the draws."""
+    """Return the section on how the pairing of modes changes over the draws."""
     title = "Pairing over the draws"
     if not has(run.trace, GROUP) or not has(run.trace, "posterior_predictive"):
         return Omitted(title, "the trace has no frequencies at the draws and before updating")

@@ -47,9 +47,9 @@ if TYPE_CHECKING:
 ONE_TEST = "there is one test"
 _BEYOND = (0.05, 0.1)
 _CERTAIN, _FEW = 0.9, 3
-"""Probability from which a loss is stated as certain on the first screen; most parameters named in one line."""
+"""Smallest probability of a loss stated as certain on the first screen; largest number of names in a line."""
 _UNLIKELY, _MOST_OUTLIERS = 0.05, 20
-"""Smallest probability of an outlier that is listed, and the most tests in the list."""
+"""Smallest probability of being an outlier of a test that is listed, and largest number of tests listed."""
 _STEPS = (0.1, 0.5, 0.9)
 _SCALE = (
     ("#C8C8C8", "below 10 %"),
@@ -63,7 +63,7 @@ _ADDRESS = ' xmlns="http://www.w3.org/2000/svg"'
 
 
 def population(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the variation of the structure between the tests, and on the next test."""
+    """Return the section on the variability between tests and the predicted next test, or `Omitted`."""
     title = "Variability between tests"
     if not has(run.trace, "tests"):
         return Omitted(title, ONE_TEST)
@@ -167,7 +167,7 @@ def _next_test(run: ReportedRun) -> PageTable:
 
 
 def losses(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the losses in groups of tests, and on losses from an unknown date on."""
+    """Return the section on losses in groups of tests, and on losses that began at an unknown date."""
     title = "Damage"
     parts = [*_losses_of_groups(run), *_losses_by_test(run)]
     if not parts:
@@ -176,7 +176,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _losses_by_test(run: ReportedRun) -> list[Part]:
-    """Return the parts on damage at an unknown date; empty if no parameter has it."""
+    """Return the parts on damage at an unknown date; empty if no parameter has such damage."""
     if not has(run.trace, BY_TEST):
         return []
     dates = [name for name, (kind, *_) in roles_of(run.trace).items() if kind == "date"]
@@ -343,7 +343,7 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
 
 
 def _shade(p: float) -> str:
-    """Return the colour of a probability; that of elements without a loss for a negative number or NaN."""
+    """Return the colour of a probability; for a negative number or NaN, the colour of elements without a loss."""
     return UNCHANGED if p < 0 or np.isnan(p) else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 

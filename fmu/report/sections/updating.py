@@ -96,7 +96,7 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def _error_of_ends(run: ReportedRun) -> str:
-    """Return a sentence on the largest Monte Carlo error of an interval end, relative to the parameter's sd."""
+    """Return a sentence on the largest Monte Carlo error of an interval's end, relative to the parameter's sd."""
     errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
     if errors.isna().any():
         return "The Monte Carlo error of the ends of the intervals is unknown."
@@ -216,7 +216,7 @@ def _crossings(run: ReportedRun, seen: Visits) -> str:
 
 
 def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
-    """Return the table of the maxima, one column each, beside the start, posterior mean and measurement."""
+    """Return the table with a column for each maximum, beside starting point, posterior mean and measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2

@@ -29,7 +29,7 @@ _FEW = 3
 
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the verdicts on the first screen in the order in which an engineer asks, with losses first."""
+    """Return the verdicts on the first screen in the order in which an engineer asks; losses come first."""
     *what, fit = of_the_model(run)
     if not has(run.trace, LOSSES):
         return *what, judge_data(run), fit, convergence(run)
@@ -49,7 +49,7 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
     """Return the names of the model's parameters that the data informed, with the largest change first.
 
-    Losses have a line of their own, and inferred standard deviations of errors are no parameters of the model.
+    Losses are listed separately, and inferred standard deviations of errors are not parameters of the model.
     """
     left = inferred_deviations(run.trace).union(not_informed(run.trace))
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
@@ -57,7 +57,7 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
 
 
 def _change(run: ReportedRun, name: str) -> float:
-    """Return the relative change from the start to the posterior mean; 0 if the start value is zero or unknown."""
+    """Return the change of the posterior mean relative to the start value; 0 if that is zero or unknown."""
     start = constant(run.trace, "start", name)
     ratio = float(run.summary["mean"][name]) / start - 1.0 if start else 0.0
     return ratio if np.isfinite(ratio) else 0.0

@@ -1,4 +1,4 @@
-"""A building of three storeys as a Python function, which could also call a finite-element program."""
+"""A three-storey building as a Python function, which could also call a finite-element program."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 MASSES = np.array([2.1e4, 2.1e4, 1.6e4])
 """Masses of the floors, kg."""
 STIFFNESS = np.array([2.4e7, 1.8e7, 1.8e7])
-"""Stiffnesses of the storeys at the start, N/m."""
+"""Initial stiffnesses of the storeys, N/m."""
 
 
 def modes(theta: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the modes at theta, shape (2,): factors on the stiffness of the lowest and of the upper storeys.
+    """Return the modes at theta, shape (2,): stiffness factors of the lowest storey and of the upper storeys.
 
-    An array of frequencies in Hz, shape (n_modes,), is also allowed, with as many modes as the program gives.
+    The function may also return just an array of frequencies in Hz, shape (n_modes,), with any number of modes.
     """
     k1, k2, k3 = STIFFNESS * [theta[0], theta[1], theta[1]]
     K = np.array([[k1 + k2, -k2, 0.0], [-k2, k2 + k3, -k3], [0.0, -k3, k3]])
@@ -29,7 +29,7 @@ def modes(theta: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 
 def _gradient(squared: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ∂f/∂θ = φᵀ ∂K/∂θ φ / (8π² f), by the springs' elongations: Fox & Kapoor (1968)."""
+    """Return ∂f/∂θ = φᵀ ∂K/∂θ φ / (8π² f), computed from the springs' elongations; Fox & Kapoor (1968)."""
     stretched = np.diff(shapes, axis=0, prepend=0.0) ** 2 * STIFFNESS[:, None]
     slopes = np.stack([stretched[0], stretched[1] + stretched[2]], axis=1)
     frequencies = np.sqrt(squared) / (2.0 * np.pi)

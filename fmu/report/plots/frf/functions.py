@@ -1,4 +1,4 @@
-"""Figures of frequency response functions: measured, predicted, and their distance."""
+"""Figures of frequency response functions: measured, predicted, and the difference in standard deviations."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 UNITS = {"receptance": "m/N", "mobility": "m/s/N", "accelerance": "m/s²/N"}
 HELD = style.VERMILLION
 LARGE = 3.03
-"""1 % of the distances of two Gaussian errors are larger."""
+"""The distance, in standard deviations, that 1 % of complex values with Gaussian noise exceed."""
 _WIDTH, _HEIGHTS = 9.2, (3.0, 1.6, 1.3)
 _MOST_LINES = 1200
 _EVEN = 1e-3
-"""Largest relative scatter of the ratios of successive lines on a logarithmic axis."""
+"""Largest spread of the ratios of successive lines for which the axis is logarithmic."""
 _LEAST = 1e-9
 """Smallest amplitude that is drawn, relative to the largest."""
 
 
 class Curve(NamedTuple):
-    """A predicted FRF: ends of a band and the curve within it, (n_lines,); NaN where nothing is predicted."""
+    """The amplitude or phase of a predicted FRF and its band, each (n_lines,); NaN where not predicted."""
 
     low: FloatArray
     middle: FloatArray
@@ -41,7 +41,7 @@ class Curve(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """An FRF at some of its lines.
+    """A measured FRF at some of its frequency lines.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Shown(NamedTuple):
     held_out: BoolArray
 
     def at(self, some: IntArray) -> Shown:
-        """Return the FRF at the lines with the given indices."""
+        """Return the FRF at the frequency lines with the given indices."""
         parts = self.lines[some], self.measured[some], self.used[some], self.held_out[some]
         return Shown(self.name, self.unit, *parts)
 
@@ -67,8 +67,8 @@ class Shown(NamedTuple):
 def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None = None) -> AxesArray:
     """Draw a measured frequency response function and its posterior predictive distribution.
 
-    From above: amplitude, phase, and the distance of the measurement from the mean of the model in standard
-    deviations of the error. Values that are not used are grey, and red where they test the updated model.
+    From top to bottom: amplitude, phase, and the distance of the measurement from the mean of the model in
+    standard deviations of the error. Values not used in updating are grey, or red if they test the updated model.
 
     Parameters
     ----------
@@ -126,13 +126,13 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
 
 
 def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | None = None) -> AxesArray:
-    """Draw a measured frequency response function and the one of the model before updating.
+    """Draw a measured frequency response function and the model's function before updating.
 
     Parameters
     ----------
     shown : Shown
     computed : ndarray of complex, shape (n_lines,)
-        NaN where nothing was computed.
+        The model's function; NaN where it was not computed.
     figure : Figure, optional
 
     Returns
@@ -152,7 +152,7 @@ def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | Non
 
 
 def shown_frfs(measured: MeasuredInTest) -> list[Shown]:
-    """Return a list of the measured frequency response functions of a test, with every line."""
+    """Return the list of the measured frequency response functions of a test, with all frequency lines."""
     data = measured.data
     lines, rows = (
         np.asarray(data.frequencies_hz),
@@ -163,12 +163,12 @@ def shown_frfs(measured: MeasuredInTest) -> list[Shown]:
 
 
 def frf_names(trace: xr.DataTree) -> list[str]:
-    """Return the list of the names of the frequency response functions; empty if the trace has none."""
+    """Return the names of the frequency response functions; an empty list if the trace has none."""
     return [str(name) for name in trace[GROUP]["frf"].to_numpy()] if GROUP in trace.children else []
 
 
 def _draw_curves(axes: AxesArray, shown: Shown, curves: Mapping[str, tuple[str, Curve, Curve]]) -> None:
-    """Draw measured amplitudes and phases on two axes, with curves by their label."""
+    """Draw the measured amplitudes and phases on two axes, with the curves in `curves`, named by their labels."""
     above, below = axes
     lines, size = shown.lines, np.abs(shown.measured)
     for label, (colour, amplitude, phase) in curves.items():
@@ -206,7 +206,7 @@ def _draw_curves(axes: AxesArray, shown: Shown, curves: Mapping[str, tuple[str, 
 
 
 def _name_decades(axes: Axes) -> None:
-    """Write ticks of a logarithmic axis of frequencies as plain numbers."""
+    """Label the ticks of a logarithmic frequency axis with plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -220,7 +220,7 @@ def _is_geometric(lines: FloatArray) -> bool:
 
 
 def _unwrap_phase(phase: Curve) -> Curve:
-    """Return the phases without jumps of 360° from line to line."""
+    """Return the phase curve without jumps of 360° between adjacent lines."""
     there = np.isfinite(phase.middle)
     shift = np.zeros(len(phase.middle))
     shift[there] = np.degrees(np.unwrap(np.radians(phase.middle[there]))) - phase.middle[there]
@@ -229,7 +229,7 @@ def _unwrap_phase(phase: Curve) -> Curve:
 
 
 def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
-    """Return phases shifted by multiples of 360° to be near a curve, which is interpolated where it is NaN."""
+    """Return phases shifted by multiples of 360° towards the curve `middle`, which is interpolated where NaN."""
     there = np.isfinite(middle)
     if not there.any():
         return degrees
@@ -238,7 +238,7 @@ def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
 
 
 def _chosen_lines(measured: FloatArray) -> IntArray:
-    """Return indices of about `_MOST_LINES` lines at most: the lowest and the highest of each few neighbours."""
+    """Return the indices of about `_MOST_LINES` lines at most: the smallest and largest amplitude per interval."""
     n = len(measured)
     if n <= _MOST_LINES:
         return np.arange(n)

@@ -53,7 +53,7 @@ def frfs(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _say(run: ReportedRun, group: xr.Dataset) -> str:
-    """Return sentences on the fit, the damping and the held-out values."""
+    """Return sentences on the fit of the functions and on the values that were not used in updating."""
     failed = [
         check.of for check in run.diagnosis.fit.checks if check.failed and check.kind in (RESPONSES, HELD_OUT)
     ]
@@ -91,7 +91,7 @@ def _row(run: ReportedRun, one: xr.Dataset, name: str) -> tuple[str, ...]:
 
 
 def _worst_first(group: xr.Dataset) -> list[int]:
-    """Return the indices of the functions in their order, or those with the largest errors if there are many."""
+    """Return the indices of the functions, with the largest errors first if there are more than `MOST_DRAWN`."""
     if group.sizes["frf"] <= MOST_DRAWN:
         return list(range(group.sizes["frf"]))
     error = np.nanmean(group["distance"].to_numpy() ** 2, axis=1)
@@ -110,7 +110,7 @@ def _drawing(run: ReportedRun, name: str, k: int) -> Picture:
 
 
 def _channels(run: ReportedRun, group: xr.Dataset) -> tuple[Part, ...]:
-    """Return a table of the gains and delays of response channels; nothing if all are known."""
+    """Return a table of the gains and delays of the response channels; an empty tuple if none is inferred."""
     names = [str(name) for name in group["channel"].to_numpy()]
     rows = []
     for name, gain, sd in zip(names, group["gain"].to_numpy(), group["gain_sd"].to_numpy(), strict=True):
