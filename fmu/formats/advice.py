@@ -1,4 +1,4 @@
-"""Instructions for exporting stiffness and mass from finite-element programs, by the suffix of a file."""
+"""Instructions for exporting stiffness and mass from finite-element programs, by the suffix of the file."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _PROGRAMS = {
     ".inp": ("CalculiX", "Abaqus"),
     ".dat": ("Nastran", "CalculiX", "Ansys"),
 }
-"""Programs whose files may have the suffix."""
+"""Programs whose files may have each suffix."""
 
 
 def how_to_export(suffix: str) -> str:
-    """Return text on how the programs that use a suffix export their matrices; empty for an unknown suffix.
+    """Return text on how the programs that use this suffix export their matrices; empty for an unknown suffix.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ The step of the input deck must be as follows, with the sensor nodes in a set::
     *NODE PRINT, NSET=SENSORS
     U
 
-CalculiX expands shells and beams into solids, but this file has the displacements of the original nodes.
+CalculiX expands shells and beams into solids, but this file contains the displacements of the original nodes.
 Frequencies have seven significant digits.
 """
 
@@ -39,7 +39,7 @@ def read_frequencies(path: Path) -> FloatArray:
     Raises
     ------
     ValueError
-        If the file does not exist, is too large, has no eigenvalues, or a word is not a number.
+        If the file does not exist, is too large or has no eigenvalues, or if a word is not a number.
     """
     text = _last_step(path)
     first = _MODE.search(text)
@@ -47,7 +47,7 @@ def read_frequencies(path: Path) -> FloatArray:
 
 
 def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None = None) -> dict[int, FloatArray]:
-    """Return a dict of node id to modal displacements (n_modes, 3) in the last step, along global axes.
+    """Return a dict from node id to modal displacements, shape (n_modes, 3), in the last step, along global axes.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     Raises
     ------
     ValueError
-        If the file does not exist or lacks a node or a mode, or a word is not a number.
+        If the file does not exist or lacks a node or a mode, or if a word is not a number.
     """
     text = _last_step(path)
     begins = [match.start() for match in _MODE.finditer(text)]
@@ -86,7 +86,7 @@ def _last_step(path: Path) -> str:
 
 
 def _frequencies(text: str, name: str) -> FloatArray:
-    """Return column 4 (f, Hz) of the first table: mode number, eigenvalue, ω, f, imaginary part of ω."""
+    """Return column 4 (f in Hz) of the first table: mode number, eigenvalue, ω, f, imaginary part of ω."""
     found: list[float] = []
     for line in text.splitlines():
         words = line.split()
@@ -102,7 +102,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
 
 
 def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
-    """Return a list with, for each mode, a dict of node id to the node's three displacements as words."""
+    """Return a list with a dict for each mode, from node id to the node's three displacements as words."""
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")
@@ -121,7 +121,7 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
 
 
 def _number(word: str, name: str) -> float:
-    """Return the value of a Fortran number, in which an exponent of three digits has no letter before it."""
+    """Return the value of a Fortran number, in which no letter precedes an exponent of three digits."""
     try:
         return float(_NO_LETTER.sub(r"E\1", word))
     except ValueError:

@@ -1,8 +1,9 @@
-"""Input decks of other programs as templates, with ``{E1}`` where the value of the parameter E1 belongs.
+"""Input decks of other programs as templates, with ``{E1}`` in place of the value of the parameter E1.
 
-A deck is any text, such as Nastran bulk data, APDL, an ``.inp`` of Abaqus or CalculiX, or an OpenSees script::
+A deck is any text, such as Nastran bulk data, APDL, an ``.inp`` file of Abaqus or CalculiX, or an OpenSees
+script::
 
-    $ E1: {E1}, sd {E1 sd}                          ! sd: of the posterior, in `fmu export` alone
+    $ E1: {E1}, sd {E1 sd}                          ! posterior sd, only for `fmu export`
     MAT1    1       {E1:8}                0.3     7850.
     PSHELL* 1               1               {t:16}1
     MP,EX,1,{E1}
@@ -11,8 +12,8 @@ A deck is any text, such as Nastran bulk data, APDL, an ``.inp`` of Abaqus or Ca
     ops.uniaxialMaterial("Elastic", 1, {E1})
 
 ``{E1:8}`` and ``{E1:16}`` fill 8 and 16 columns, the widths of Nastran's small and large fields; ``{E1:.9e}`` uses
-a number format of Python (e, f or g). Braces around anything that is not a single word, as in Tcl or Python, are
-not placeholders; ``{{word}}`` stands for ``{word}``.
+a Python number format (e, f or g). Braces around anything that is not a single word, as in Tcl or Python, are not
+placeholders; ``{{word}}`` becomes ``{word}``.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ EXPORTED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM, MESH_MODES, UPDATED_MODES, M
 LARGEST_DECK = 2**26
 """Largest size of a deck, bytes."""
 WIDEST = 20
-"""Number of characters of a number that Abaqus and CalculiX read; they cut off the rest, such as the exponent."""
+"""Largest number of characters that Abaqus and CalculiX read of a number; they cut off the rest, even an
+exponent."""
 FIELDS = (8, 16)
 """Widths of Nastran's small and large fields, columns."""
 _BRACES = re.compile(r"\{\{(\w+)\}\}|\{([^{}\n]+?)(?::(\d{1,2}|\.\d{1,2}[eEfgG]))?\}")
@@ -39,7 +41,10 @@ _WORD = re.compile(r"[^\W\d]\w*")
 
 
 def read_deck(path: Path) -> str:
-    """Return the text of a deck, line ends and non-UTF-8 bytes preserved; ValueError if it is not a text file."""
+    """Return the text of a deck with line ends and non-UTF-8 bytes preserved.
+
+    Raises ValueError if it is not text.
+    """
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
         raise ValueError(f"must be a text file ({wrong})")
@@ -55,7 +60,7 @@ def write_deck(path: Path, text: str) -> None:
 
 
 def placeholders(text: str) -> set[str]:
-    """Return the set of names in braces in a deck; each may be a placeholder."""
+    """Return the set of names in braces in a deck, each of which may be a placeholder."""
     return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
 
 
@@ -98,12 +103,12 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
 
 
 def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of parameters with the digits that a filled deck has of them, such as 4 in ``{E1:8}``.
+    """Return the values of parameters as rounded in a filled deck, such as to the digits that ``{E1:8}`` holds.
 
     Raises
     ------
     ValueError
-        If a deck has a value with different digits in several places.
+        If a deck contains the same value with different digits in several places.
     """
     found = dict(values)
     first: dict[str, str] = {}
@@ -122,7 +127,7 @@ def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
 
 
 def _fill_in(match: re.Match[str], values: Mapping[str, float]) -> str:
-    """Return the text in place of a placeholder, or of other words in braces."""
+    """Return the text that replaces a placeholder, or other words in braces."""
     if match[1] is not None:
         return f"{{{match[1]}}}"
     if match[2] not in values:

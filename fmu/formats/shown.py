@@ -53,13 +53,13 @@ def quote(value: object) -> str:
 
 
 def names_shown(names: Collection[object]) -> str:
-    """Return a comma-separated list of names; of more than `MOST_NAMES` names, the first ones and the total."""
+    """Return names separated by commas; if there are more than `MOST_NAMES`, the first ones and the number."""
     first = ", ".join(_cut(str(name), MOST) for name in islice(names, MOST_NAMES))
     return first if len(names) <= MOST_NAMES else f"{first}, … ({len(names)} in all)"
 
 
 def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
-    """Return a text on one line; characters that are not printable, and could move a cursor, are escaped."""
+    """Return a text on one line; unprintable characters, which could move a cursor, are escaped."""
     line = " ".join(_cut(text, 4 * most).split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -1,7 +1,7 @@
-"""Replication of the paper: both experiments with every sampler, and a comparison with the published results.
+"""Replication of the paper: both experiments with every sampler, compared with the published results.
 
-Reading order of the modules: published, plan, experiment, convergence, studies/, findings, page, summary,
-errata, run.
+Reading order of the modules: published, plan, experiment, convergence, studies/, findings, page, summary, errata,
+run.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The reference posterior, errors of running means, and the length from which a run passes the convergence checks.
+"""The reference posterior, errors of running means, and the run length needed to pass the convergence checks.
 
 A solve is one evaluation of the log-probability. An exact gradient counts as the number of solves that take the
 same time (`fmu.analysis.trace.reading.in_solves`).
@@ -47,7 +47,7 @@ class Reference:
 
 
 def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
-    """Return the pooled posterior estimate of several traces, weighted by their effective sample sizes."""
+    """Return the posterior estimate pooled from several traces, weighted by their effective sample sizes."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])
@@ -60,9 +60,9 @@ def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
 
 
 def around_the_maxima(maxima: Maxima) -> Reference:
-    """Return the posterior estimate of importance sampling around the maxima, each weighted by its mass.
+    """Return the posterior estimate from importance sampling around the maxima, each weighted by its mass.
 
-    The estimate uses no chains, so it is also valid if chains stay in separate modes.
+    The estimate uses no chains, so it is valid even if chains do not cross between separate modes.
     """
     share = np.array([m.share for m in maxima])[:, np.newaxis]
     mean, sd = np.array([m.mean for m in maxima]), np.array([m.sd for m in maxima])
@@ -98,7 +98,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Needed:
-    """The shortest length at which a run passed the convergence checks, as it did at every longer length examined.
+    """The shortest run length that passes the convergence checks, as does every longer length examined.
 
     All attributes are None if the run did not pass.
 
@@ -133,7 +133,7 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest length from which the run passes the convergence checks at every length examined.
+    """Return the shortest run length that passes the convergence checks, as does every longer length examined.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     Notes
     -----
     The warm-up is kept, and the draws are truncated at lengths that increase by the factor `GROWTH`. The lengths
-    are examined from the whole run downwards until the first failure, which guards against lengths that pass by
+    are examined from the whole run downwards until the first failure, so that no length counts that passes by
     chance.
     """
     walkers = walkers_of(trace)
@@ -163,10 +163,10 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 
 
 def solves_at_this_pace(trace: xr.DataTree) -> int | None:
-    """Return the number of model solves a run would need to reach an effective sample size of `ESS_LIMIT`.
+    """Return the number of model solves that a run would need for an effective sample size of `ESS_LIMIT`.
 
-    The number is extrapolated from the smallest bulk or tail ESS of the draws, without the warm-up. It is None if
-    that ESS is NaN.
+    The number is extrapolated from the smallest bulk or tail ESS of the draws, excluding the warm-up. It is None
+    if that ESS is NaN.
     """
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())

@@ -20,18 +20,19 @@ if TYPE_CHECKING:
 
 
 TOLERANCE = 1e-3
-"""Relative tolerance beyond the rounding of the printed frequency, because the parameters were rounded too."""
+"""Relative tolerance in addition to the rounding of the printed frequency, because the parameters were rounded
+too."""
 
 
 def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
-    """Return a table that compares the frequencies of Tables 2 and 4 with the model at the published parameters.
+    """Return a table that compares the frequencies in Tables 2 and 4 with the model at the published parameters.
 
-    The parameters are those of Tables 1 and 3.
+    The parameters are those in Tables 1 and 3.
 
     Parameters
     ----------
     problems : mapping of str to UpdatingProblem
-        The problem of each experiment, with modes paired by number, by case.
+        The problem of each experiment by case, with modes paired by number.
 
     Returns
     -------
@@ -110,7 +111,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
 
 
 def count_reproduced(table: pd.DataFrame) -> str:
-    """Return the words that say how many published frequencies the model reproduces, and which need a correction.
+    """Return a phrase on how many published frequencies the model reproduces, and which need a correction.
 
     Parameters
     ----------
@@ -149,8 +150,8 @@ RARE = 5e-4
 class Erratum(NamedTuple):
     """An erratum of the paper.
 
-    Its texts are the place in the paper, the printed content, the content found from the model or the table, and
-    the evidence.
+    Its fields are the place in the paper, the printed content, the correct content as found from the model or the
+    table, and the evidence.
     """
 
     place: str
@@ -162,14 +163,14 @@ class Erratum(NamedTuple):
 def computed_errata(
     by_number: Mapping[str, UpdatingProblem], by_shape: Mapping[str, UpdatingProblem], box_points: int
 ) -> list[Erratum]:
-    """Return the list of errata that follow from the tables and the model.
+    """Return the errata that follow from the tables and the model.
 
     Parameters
     ----------
     by_number, by_shape : mapping of str to UpdatingProblem
-        The problem of each experiment, with modes paired by number and by shape, by case.
+        The problem of each experiment by case, with modes paired by number and by shape.
     box_points : int
-        Number of points in the parameter box at which the spectrum is examined; a power of two.
+        Number of points within the parameter bounds at which the spectrum is examined; a power of two.
     """
     return [
         *_mode_pairing(by_number[YOUNG], by_shape[YOUNG]),
@@ -181,7 +182,7 @@ def computed_errata(
 
 
 def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for each mode of section 5.1 whose mode number belongs to another mode at the start."""
+    """Yield an erratum for each mode of section 5.1 whose number denotes another mode at the starting point."""
     experiment = EXPERIMENTS[YOUNG]
     start = experiment.columns["initial"]
     numbers = by_number.data.numbers
@@ -205,7 +206,7 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
 
 
 def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[Erratum]:
-    """Yield an erratum for each mode number that belongs to different physical modes within the parameter box."""
+    """Yield an erratum for each mode number that denotes different physical modes within the parameter bounds."""
     experiment = EXPERIMENTS[case]
     everywhere = spectrum.shares_over_the_box(problem, points)
     for i, (number, parts) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):

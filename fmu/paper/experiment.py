@@ -57,6 +57,9 @@ def directory_of(case: str, pairing: str) -> str:
 class Result:
     """The runs of one experiment and their comparison.
 
+    The paper's protocol is a single chain with the paper's number of samples; the long runs are meant to converge
+    (`fmu.paper.plan`).
+
     Attributes
     ----------
     published : Published
@@ -71,10 +74,10 @@ class Result:
     paper, long : mapping of str to DataTree
         Traces of the paper's protocol and of the long runs, by sampler.
     pace : mapping of str to DataTree
-        Traces of runs with the paper's settings from draws of the posterior, by sampler; empty if no long run of a
-        trusted sampler converged.
+        Traces, by sampler, of runs with the paper's settings that start from posterior draws; empty if no long run
+        of a trusted sampler converged.
     one_start : DataTree
-        Trace of HMC without jumps, with all chains from the start vector.
+        Trace of HMC without jumps, with all chains started at the paper's starting vector.
     reference : Reference
         The best available estimate of the posterior.
     diagnoses : mapping of str to Diagnosis
@@ -86,7 +89,7 @@ class Result:
     curves : mapping of str to tuple of Curve
         The running errors of the long run of each sampler and, if performed, of the paper's protocol.
     places : mapping of str to mapping of str to float
-        The share of the draws of each long run at which each combination of physical modes is paired.
+        The fraction of the draws of each long run at which each combination of physical modes is paired.
     """
 
     published: Published
@@ -172,7 +175,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
 
 
 def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
-    """Return the length that a run needed to converge; without values if the run did not converge."""
+    """Return the length that a run needed to converge; all its attributes are None if the run did not converge."""
     if not diagnosis.converged:
         return Needed()
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
@@ -194,7 +197,7 @@ def starts_in_the_posterior(
 
 
 def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
-    """Return the reference from the converged runs of trusted samplers, or without such a run from the maxima."""
+    """Return the reference from the converged runs of trusted samplers or, if there are none, from the maxima."""
     good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
     if not good:
         return around_the_maxima(maxima)
@@ -202,7 +205,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return the share of each combination of paired physical modes, from about 2000 draws spaced over a trace."""
+    """Return the fraction of draws with each combination of paired modes, from about 2000 draws of a trace."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -273,7 +276,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return `fmu.compare` of the long runs with the cost of the paper's protocol, one row per sampler.
+    """Return `fmu.compare` for the long runs with the cost of the paper's protocol, one row per sampler.
 
     A solve is one evaluation of the log-probability, and an exact gradient counts as ``gradient_cost`` solves. The
     columns added to `fmu.compare` are:
@@ -281,13 +284,14 @@ def comparison_table(result: Result) -> pd.DataFrame:
     ``sampling_solves`` and ``ess_per_sampling_solve``: solves and efficiency of the long run without the warm-up.
 
     ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: retained steps of each chain, and
-    steps of all chains, solves and time in s including the warm-up, from which the long run passes the convergence
-    checks at every length examined; missing if the long run did not converge.
+    steps of all chains, solves and time in s including the warm-up, at the shortest length from which the long run
+    passes the convergence checks; missing if the long run did not converge.
 
     ``paper_solves``: solves of the paper's protocol.
 
-    ``paper_needed_solves``: estimated solves with the paper's settings, from chains that start in the posterior,
-    for the effective sample size that convergence requires; missing if no converged run provides such starts.
+    ``paper_needed_solves``: estimated solves for the effective sample size that convergence requires, with the
+    paper's settings and chains that start in the posterior; missing if no converged run provides such starting
+    points.
 
     ``paper_error``: largest distance of a posterior mean of the paper's protocol from the reference, in posterior
     sd.
@@ -318,7 +322,7 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
 
 class OneStart(NamedTuple):
-    """The length, convergence and error of a run whose chains have the same start vector.
+    """The length, convergence and error of a run whose chains all have the same starting vector.
 
     Attributes
     ----------
@@ -341,7 +345,7 @@ class OneStart(NamedTuple):
 
 
 def one_start(result: Result) -> OneStart:
-    """Return the length, convergence and error of the run with all chains from the start vector."""
+    """Return the length, convergence and error of the run whose chains all have the same starting vector."""
     trace = result.one_start
     of_run = compare_runs({"hmc": trace})
     table = of_run.summaries["hmc"]
@@ -361,8 +365,8 @@ def agreement(result: Result) -> tuple[float, float, tuple[str, ...]]:
     Returns
     -------
     in_sd, in_mcse : float
-        Largest difference of two posterior means over all parameters: in posterior sd, and in standard errors of
-        the difference. NaN with fewer than two converged runs.
+        Largest difference between two posterior means over all parameters, in posterior sd and in standard errors
+        of the difference. NaN if fewer than two runs converged.
     samplers : tuple of str
         The samplers whose long runs converged.
     """
@@ -383,6 +387,6 @@ def _distance(result: Result, theta: FloatArray) -> float:
 
 
 def rows_of(frame: pd.DataFrame) -> list[tuple[str, dict[str, Any]]]:
-    """Return the list of the name and a dict of the cells of each row of a table."""
+    """Return the name of each row of a table, with a dict of the cells of the row."""
     rows = frame.itertuples(name=None)
     return [(str(name), dict(zip(frame.columns, cells, strict=True))) for name, *cells in rows]

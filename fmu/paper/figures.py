@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the list of the frequencies in the figure of a sampler: before updating, published and ours."""
+    """Return the sets of frequencies in the figure of a sampler: before updating, published and ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:
@@ -70,10 +70,11 @@ def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Fre
 
 
 def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
-    """Draw the error of the running mean over model solves for every sampler.
+    """Draw the error of the running mean against the number of model solves for every sampler.
 
-    A solid line is the median over the chains (or ensembles) of the long run, and the band their range. A dotted
-    line is the paper's protocol. A dot marks the length from which the long run passes the convergence checks.
+    A solid line is the median over the chains (or ensembles) of the long run, and the band is their range. A
+    dotted line is the paper's protocol. A dot marks the length from which the long run passes the convergence
+    checks.
     """
     figure = figure or new_figure(8.0, 5.4)
     axes = figure.subplots()

@@ -1,4 +1,4 @@
-"""The findings of one experiment as tables, and a judgement of the paper's statements from these tables."""
+"""The findings of one experiment as tables, and the paper's statements judged by these tables."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 _CERTIFICATE = "certificate_"
 DEEP = 1e3
-"""Log-probability below the highest maximum beyond which a lower maximum cannot be mistaken for the posterior."""
+"""Difference in log-probability from the highest maximum beyond which a maximum cannot be mistaken for the
+posterior."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,9 @@ class Findings:
     reasons, warnings : mapping of str to tuple of str
         The reasons why the long run has not converged, and the warnings about the model, by sampler.
     places : mapping of str to mapping of str to float
-        The share of the draws of each long run at which each combination of physical modes is paired.
+        The fraction of the draws of each long run at which each combination of physical modes is paired.
     one_start : OneStart
-        The results of the run with all chains from the start vector.
+        The results of the run whose chains all have the same starting vector.
     agreement : tuple
         The agreement of the converged long runs (`fmu.paper.experiment.agreement`).
     origin : str
@@ -68,7 +69,7 @@ class Findings:
     certificates : mapping of str to mapping of str to float
         Errors of the reduced model at some draws of every run (`fmu.analysis.certificate`), by the same keys.
     weighted : VectorBeta, optional
-        Results with a β for every mode, if that run was performed.
+        Results with a separate β for every mode, if that run was performed.
     wrong : WrongModel, optional
         Results with a model that may be wrong.
     """
@@ -156,18 +157,18 @@ class Findings:
         return float("nan") if str(cell) == "<NA>" else float(cell)
 
     def in_paper_units(self, parameter: str, *columns: str) -> list[float]:
-        """Return entries of the parameter table in units of the power of ten that the paper prints."""
+        """Return entries of the parameter table divided by the power of ten that the paper uses."""
         factor, _ = self.unit_of_paper(parameter)
         return [float(self.parameters[column][parameter]) / factor for column in columns]
 
     @property
     def central_difference_rate(self) -> float:
-        """The effective draws of HMC per solve if every gradient cost 2·ndim solves, as with eq. (15)."""
+        """The effective draws of HMC per solve if every gradient cost 2·ndim solves, as in eq. (15)."""
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
 
     @property
     def never_visited(self) -> list[str]:
-        """The samplers whose long run never visited one of the maxima."""
+        """The samplers whose long run missed at least one of the maxima."""
         return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
 
     @property
@@ -176,7 +177,7 @@ class Findings:
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
 
     def unit_of_paper(self, parameter: str) -> tuple[float, str]:
-        """Return the power of ten in which the paper prints a parameter, and its text: ``"1e-9 m⁴"``."""
+        """Return the power of ten by which the paper scales a parameter, and the unit label: ``"1e-9 m⁴"``."""
         position = self.published.parameter_names.index(parameter)
         exponent = self.published.columns["initial"].parameters[position].exponent
         return float(f"1e{exponent}"), f"1e{exponent} {self.parameters['unit'][parameter]}"
@@ -198,7 +199,8 @@ CRITERIA = {
     },
     BETTER: {"worst mean of the paper's protocol, sd off": "paper_error"},
 }
-"""The criteria for each kind of statement, with their columns in the comparison; smaller values are better."""
+"""The criteria for each kind of statement, with their columns in the comparison table; smaller values are
+better."""
 
 
 CLOSE = 1.25
@@ -224,7 +226,7 @@ class Judgement(NamedTuple):
 
 
 def judge(findings: Findings) -> list[Judgement]:
-    """Return judgements of the paper's statements on one experiment, by each criterion that the paper may mean.
+    """Judge the paper's statements on one experiment by each criterion that the paper may mean.
 
     If the long run of only one of two samplers converged, this sampler is the better one. If both converged, the
     numbers in the table of costs are compared.

@@ -1,4 +1,4 @@
-"""The page of one experiment, which compares the paper's tables with ours."""
+"""The page of one experiment, which compares the paper's tables with our results."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def reached_and_cost(findings: Findings) -> str:
 
 
 def _efficiency(findings: Findings, sampler: str) -> list[str]:
-    """Return texts of the effective draws per solve, per solve after the warm-up, and per second.
+    """Return the effective draws per solve, per solve after the warm-up, and per second, as texts.
 
     The texts are dashes if the run has not converged.
     """
@@ -217,7 +217,7 @@ def claims(findings: Findings) -> str:
 
 
 def maxima(findings: Findings) -> str:
-    """Return a table of the maxima of the posterior and their shares of the probability."""
+    """Return a table of the maxima of the posterior and the share of the probability that each holds."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
     header = ["", *(f"{name}, {unit}" for name, (_, unit) in zip(names, units, strict=True))]
@@ -245,7 +245,7 @@ def maxima(findings: Findings) -> str:
 
 
 def one_start(findings: Findings) -> str:
-    """Return the paragraph on the R-hat and the error of the run with all chains from the start vector."""
+    """Return the paragraph on R-hat and the error of the run whose chains all have the same starting vector."""
     run = findings.one_start
     text = (
         f"HMC without jumps, {run.chains} chains of {whole(run.draws)} draws, all from the paper's start vector: "
@@ -316,13 +316,13 @@ def settings(findings: Findings) -> str:
 
 
 def _count(value: Any) -> Any:
-    """Return a setting; for a list of mixture components, which is too long to show, a text with their number."""
+    """Return a setting, or the number of mixture components in words, since their list is too long to show."""
     is_long = isinstance(value, list) and any(isinstance(one, dict) for one in value)
     return f"{len(value)}, at the maxima" if is_long else value
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return the list of settings in words, with the values of numbers and the shapes of arrays."""
+    """Return a setting in words, with the values of numbers and the shapes of arrays."""
     if isinstance(value, dict):
         return [words for key, item in value.items() for words in _brief(key, item)]
     if isinstance(value, list):

@@ -1,4 +1,7 @@
-"""The plan of the runs: lengths and settings of the paper's protocol and of the long runs."""
+"""The planned runs: lengths and settings of the paper's protocol and of the long runs.
+
+The paper's protocol is a single chain with the paper's number of samples; the long runs are meant to converge.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ PAIRINGS = ("index", "shape")
 
 @dataclass(frozen=True)
 class Length:
-    """The length of a run: retained steps, warm-up steps, and number of chains (for emcee, of ensembles)."""
+    """The length of a run: retained steps, warm-up steps, and number of chains (of ensembles for emcee)."""
 
     draws: int
     warmup: int
@@ -49,23 +52,23 @@ class Plan:
     experiments : tuple of (case, pairing)
         The experiments, in the order of the pages.
     paper : Length
-        The length of the paper's protocol: N_s samples of one chain from the start vector, all of them kept.
+        The length of the paper's protocol: N_s samples of one chain from the starting vector, all of them kept.
     pace : mapping of str to Length
-        The lengths of runs with the paper's settings from draws of the posterior, by sampler. These runs estimate
-        the cost of an effective draw.
+        The lengths, by sampler, of runs with the paper's settings that start from posterior draws. These runs
+        estimate the cost of an effective draw.
     long : mapping of str to Length
         The lengths of the long runs, by sampler (`long_start`).
     one_start : Length
-        The length of a run of HMC without jumps, with all chains from the start vector. This run shows the R-hat
-        of chains with one start.
+        The length of a run of HMC without jumps, with all chains from the starting vector. This run shows the
+        R-hat of chains with a common starting point.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
     wrong : Length
-        The length of the runs with a model that may be wrong, by the mixture.
+        The length of the mixture's runs with a model that may be wrong.
     starts : int
-        Number of optimiser starts of the search for maxima.
+        Number of starting points of the search for maxima.
     box_points : int
-        Number of points in the parameter box at which the spectrum is examined.
+        Number of points within the parameter bounds at which the spectrum is examined.
     seed : int
     """
 
@@ -110,7 +113,7 @@ class Plan:
 def paper_settings(name: str) -> Sampler:
     """Return a sampler of the paper with manually chosen settings, in scaled coordinates.
 
-    The paper states neither step sizes nor widths, so they are chosen such that the samplers move. HMC uses the
+    The paper states neither step sizes nor widths. They are chosen such that the samplers move. HMC uses the
     numerical gradient of eq. (15) and trajectories of fixed length.
     """
     settings: dict[str, Sampler] = {
@@ -124,8 +127,8 @@ def paper_settings(name: str) -> Sampler:
 def long_settings(name: str) -> Sampler:
     """Return the sampler of a long run, with default settings except for emcee.
 
-    The emcee sampler uses differential-evolution moves, which mix about four times as fast here as the default of
-    emcee, the stretch move.
+    emcee uses differential-evolution moves, which here mix about four times as fast as its default, the stretch
+    move.
     """
     return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else make_sampler(name)
 
@@ -152,7 +155,7 @@ class Runs:
     phase : str
         The name of the progress line.
     total : int
-        The number of steps of all runs.
+        The total number of steps of all runs.
     progress : callable, optional
         Called after every step as ``progress(phase, done, total, info)``.
     """
@@ -179,7 +182,7 @@ class Runs:
         *,
         jumps: bool | None = None,
     ) -> xr.DataTree:
-        """Perform a run, called `words` in the progress line, and return its trace; `jumps` as in `fmu.sample`."""
+        """Perform a run, called `words` in the progress line, and return its trace; `jumps`: see `fmu.sample`."""
         from fmu.sampling import sample
 
         with warnings.catch_warnings():

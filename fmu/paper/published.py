@@ -54,7 +54,7 @@ class Printed:
 
     @property
     def half_unit(self) -> float:
-        """Half a unit of the last digit, the largest rounding error of `value`."""
+        """Half a unit of the last digit: the largest rounding error of `value`."""
         return float(f"0.5e{self.exponent - self.decimals}")
 
     def allows(self, value: float, slack: float = 0.0) -> bool:
@@ -102,7 +102,7 @@ class Column:
 
     @property
     def theta(self) -> FloatArray:
-        """The parameters that reproduce the frequency table, SI units, shape (ndim,)."""
+        """The parameters, with misprints corrected, that reproduce the printed frequencies, SI units, (ndim,)."""
         return _values(self.parameters, self.corrected_parameters)
 
     @property
@@ -160,13 +160,13 @@ class Experiment:
         return _values(self.measured)
 
     def error_percent(self, frequencies: ArrayLike) -> FloatArray:
-        """Return the errors |f − f_m|/f_m in %, as the paper defines them, of frequencies (..., n_modes) in Hz."""
+        """Return the errors |f − f_m|/f_m in %, as defined in the paper, of frequencies (..., n_modes) in Hz."""
         return 100.0 * np.abs(np.asarray(frequencies, dtype=float) - self.measured_hz) / self.measured_hz
 
     def inconsistent_errors(self, column: str) -> tuple[int, ...]:
         """Return the indices of the modes whose printed error is inconsistent with the printed frequency.
 
-        An error is inconsistent if rounding of the frequency and of the error cannot explain the difference.
+        An error is inconsistent if rounding of the frequency and the error cannot explain the difference.
         """
         table = self.columns[column]
         recomputed = self.error_percent(table.printed_hz)

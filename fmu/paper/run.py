@@ -96,7 +96,7 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: R
 
 
 def _run_weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
-    """Perform the run with a β for every mode, write its trace, and return the comparison with the scalar β."""
+    """Perform the run with a separate β for every mode, write its trace, and compare it with the scalar β."""
     trace = sample_weighted(result, plan, progress)
     _save(trace, f"{result.name}-{SAMPLER}-vector-beta.nc", stage)
     return side_by_side(result, trace)
@@ -122,7 +122,7 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
 
 
 def file_names(plan: Plan) -> list[str]:
-    """Return the list of the files that the command may write, as paths relative to the output directory."""
+    """Return the names of the files that the command may write, as paths relative to the output directory."""
     names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
     names += [f"model-error.{kind}" for kind in ("md", "csv", "png")]
     for name in (directory_of(*experiment) for experiment in plan.experiments):
@@ -172,7 +172,7 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
 
 
 def write_model_error(studies: Sequence[WrongModel], stage: Path) -> None:
-    """Write the page, table and figure of the experiments with a model that may be wrong."""
+    """Write the page, table and figure of the experiments with a model that may be wrong, below `stage`."""
     import pandas as pd
 
     (stage / "model-error.md").write_text(wrong_model_page(studies), encoding="utf-8")
@@ -194,9 +194,9 @@ def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
 
 
 def separated_modes(findings: Findings) -> Iterator[Erratum]:
-    """Yield an erratum if the posterior paired by number has separated modes.
+    """Yield an erratum if the posterior with modes paired by number has separated maxima.
 
-    The paper's samplers cannot cross between separated modes.
+    The paper's samplers cannot cross between them.
     """
     maxima = findings.separate_maxima
     if findings.pairing != "index" or len(maxima) < 2:

@@ -1,4 +1,4 @@
-"""Names of the computed modes, made of the plane of motion and the number of the mode in that plane."""
+"""Names of the computed modes, made up of the plane of motion and the number of the mode in that plane."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BATCH = 4096
 
 
 def _structure(problem: UpdatingProblem) -> PairedStructure:
-    """Return the structure of a problem; raise ValueError if its model has no structure."""
+    """Return the structure of a problem. Raise ValueError if its model has no structure."""
     structure = structure_of(problem.model)
     if structure is None:
         raise ValueError(f"problem: must have a structure of beam elements (got {problem.model.name})")
@@ -44,7 +44,7 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
 
 
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
-    """Return the name and the frequency in Hz of the `count` lowest modes of the whole structure, ascending.
+    """Return the name and frequency in Hz of the `count` lowest modes of the whole structure, in ascending order.
 
     The parameters are `theta`, shape (ndim,), SI units.
     """
@@ -56,16 +56,16 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
 
 
 def shares(names: StrArray) -> dict[str, float]:
-    """Return a dict of the share of rows with each combination of names, the most common combination first."""
+    """Return the fraction of rows with each combination of names, the most common combination first."""
     counts = Counter(" ".join(row) for row in names.tolist())
     return {combination: count / len(names) for combination, count in counts.most_common()}
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return, for each measured mode, a dict of the physical modes paired with it and their shares of the box.
+    """Return, for each measured mode, the physical modes paired with it and the fraction of the box for each.
 
-    A share is the part of the parameter box in which the physical mode is paired with the measured mode, estimated
-    with a scrambled Sobol sequence within the bounds.
+    The fraction is the part of the parameter box (the volume within the bounds) in which the physical mode is
+    paired with the measured mode. It is estimated with a scrambled Sobol sequence.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str,
 
 
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
-    """Return the names of modes; the matrix blocks of a straight beam are its four planes of motion.
+    """Return the names of modes. The matrix blocks of a straight beam are its four planes of motion.
 
     Raises ValueError if planes of motion are coupled, or if one plane has several blocks.
     """

@@ -36,7 +36,7 @@ def summary_page(everything: Sequence[Findings], recomputed: str, seed: int, ver
     everything : sequence of Findings
         The findings of all experiments.
     recomputed : str
-        Words on the number of published frequencies reproduced (`fmu.paper.errata.count_reproduced`).
+        A phrase on the number of published frequencies reproduced (`fmu.paper.errata.count_reproduced`).
     seed : int
     versions : mapping of str to str
         The version of each software package by its name.
@@ -79,7 +79,7 @@ def _in_a_line(findings: Findings) -> str:
 
 
 def _means(findings: Findings) -> str:
-    """Return a table of parameter values with one row per source and one column per parameter, in paper units."""
+    """Return a table of parameter values in the paper's units, one row per source, one column per parameter."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
 

@@ -1,14 +1,15 @@
-"""Constraint equations in Ansys archives (``CDWRITE``), among them those that CERIG and RBE3 have made.
+"""Constraint equations in Ansys archives (``CDWRITE``), including those that CERIG and RBE3 have made.
 
-Each begins with the number of its terms and has two terms a line, along the axes of the nodes. Its first term is
-the dependent one. Ansys, *Mechanical APDL command reference*, CE::
+Each equation begins with its number of terms and has two terms per line, along the axes of the nodes. The first
+term is the dependent one. Ansys, *Mechanical APDL command reference*, CE::
 
     CE,R5.0,DEFI,       3,       1,  0.00000000
     CE,R5.0,NODE,      12,UX  ,  1.00000000    ,      40,UX  , -1.00000000
     CE,R5.0,NODE,      40,ROTZ,  0.50000000
 
-Coupled sets are read as the command has them, ``CP,1,UX,12,13,14``: all nodes move as the first does. No public
-archive shows how ``CDWRITE`` writes them (``CP,R5.0,…``); these lines are not read, and a note says so.
+Coupled sets are read in the form of the command, ``CP,1,UX,12,13,14``: all nodes move as the first one does. No
+public archive shows the form in which ``CDWRITE`` writes them (``CP,R5.0,…``); these lines are not read, and a
+note says so.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _DIRECTION = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), DIRECTIONS, st
 
 
 def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
-    """Return the constraint equations among the lines of an archive, and notes on constraints that are not read.
+    """Return the constraint equations in the lines of an archive, and notes on constraints that are not read.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
 
 
 class _CoupledSets:
-    """The sets of ``CP,NSET,Lab,NODE1,…,NODE17``: all nodes move as the first. Ansys, *Command reference*, CP."""
+    """The sets of ``CP,NSET,Lab,NODE1,…,NODE17``: all nodes move as the first (Ansys, *Command reference*, CP)."""
 
     def __init__(self) -> None:
         self.sets: dict[int, tuple[str, dict[int, None]]] = {}
@@ -84,7 +85,7 @@ class _CoupledSets:
         self.n_nodes = 0
 
     def add(self, words: Sequence[str]) -> None:
-        """Add the nodes of a line to a set, a new one or one that has nodes already."""
+        """Add the nodes of a line to a new or an existing set."""
         highest = self.highest
         which = {"": max(highest, 1), "HIGH": max(highest, 1), "NEXT": highest + 1}.get(words[0])
         which = _whole(words[0], "CP: the number of a set") if which is None else which
@@ -101,7 +102,7 @@ class _CoupledSets:
             raise RefusedError(f"must have coupled sets of at most {MOST_DOFS} nodes in all")
 
     def equations(self) -> list[Equation]:
-        """Return the equations of all nodes but the first of each set."""
+        """Return an equation for every node of each set except the first."""
         found: list[Equation] = []
         for which, (direction, (first, *others)) in self.sets.items():
             found += [Equation((node, direction), {(first, direction): 1.0}, f"CP {which}") for node in others]

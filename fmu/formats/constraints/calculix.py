@@ -1,9 +1,9 @@
 """Constraints in input decks of CalculiX and Abaqus: *EQUATION, *BOUNDARY and *TRANSFORM.
 
-CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes.
-Where *TRANSFORM turns the axes of a node, the dependent degree of freedom of an equation is the direction that
-CalculiX chooses: the one of the same number, or the next along which the local axis has a component. CalculiX,
-*User's manual*. `fmu.formats.constraints.calculix_bodies` has the rigid bodies.
+CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes. If
+*TRANSFORM rotates the axes of a node, CalculiX chooses the dependent degree of freedom of an equation: the global
+direction with the same number, or the next one along which the local axis has a component. CalculiX, *User's
+manual*. `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SUPPORTS = {
     "YASYMM": (1, 3, 5),
     "ZASYMM": (1, 2, 6),
 }
-"""Directions that Abaqus' names of supports hold; *Keywords reference guide*, ``*BOUNDARY``."""
+"""Directions held by each of Abaqus' named supports; *Keywords reference guide*, ``*BOUNDARY``."""
 _LEAST = 1e-5
 """Smallest component of a local axis along the direction that CalculiX makes dependent."""
 
@@ -64,7 +64,8 @@ def constraints_of(
     Raises
     ------
     RefusedError, ValueError
-        If a keyword is malformed, names an unknown node or set, or does not determine its dependents.
+        If a keyword is malformed, names an unknown node or set, or does not determine its dependent degrees of
+        freedom.
     """
     axes: dict[int, FloatArray] = {}
     held: set[DofName] = set()
@@ -102,7 +103,7 @@ def constraints_of(
 
 
 def _along_local_axes(node: int, rows: Sequence[tuple[dict[DofName, float], int, str]]) -> list[Equation]:
-    """Return the equations of a node with axes of its own, all at once, since they share directions."""
+    """Return the equations of a node with its own axes, solved together because they share directions."""
     chosen: list[DofName] = []
     unique = {(k, tuple(sorted(row.items()))): (row, k, source) for row, k, source in rows}
     for row, k, source in unique.values():
@@ -161,7 +162,7 @@ def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, t
 
 
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
-    """Yield the node and the direction, from 0, that *BOUNDARY holds."""
+    """Yield the node and direction (counted from 0) of each degree of freedom that *BOUNDARY holds."""
     for words in one.rows():
         if len(words) < 2 or not words[1].isdecimal():
             for node in (
@@ -180,7 +181,7 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
 def _transform(
     found: Constraints, one: Keyword, places: Mapping[int, tuple[float, float, float]]
 ) -> dict[int, FloatArray]:
-    """Return the axes (rows) of the nodes of *TRANSFORM: rectangular, or cylindrical with TYPE=C."""
+    """Return the axes (rows) of the nodes of a *TRANSFORM: rectangular, or cylindrical if TYPE=C."""
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:
         raise ValueError(f"{one.source} must have six coordinates (got {len(words)})")

@@ -1,13 +1,13 @@
 """Rigid bodies in decks of CalculiX: *RIGID BODY, and *COUPLING with *KINEMATIC.
 
-The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of a node: of the
-ROT NODE, or of one that CalculiX adds and gives a number above all others. Couplings come first, then bodies, each
-in the order of the deck. A body takes a number for each of its nodes too, a coupling for each node and line of
-*KINEMATIC. These numbers are not documented: they are what CalculiX 2.20 writes of two bodies, which the tests
-repeat. Other decks, and those of shells and beams, which CalculiX expands, may have others.
+The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of the ROT NODE, or of a
+node that CalculiX adds, with a number above all others. Couplings are numbered first, then bodies, each in the
+order of the deck. A body also takes up a number for each of its nodes, a coupling for each node and each line of
+*KINEMATIC. These numbers are not documented. They are those that CalculiX 2.20 writes for two bodies, which the
+tests repeat. Other decks may have other numbers, as may decks with shells and beams, which CalculiX expands.
 
-*COUPLING with *DISTRIBUTING spreads loads of a reference node that itself does not move: masses and springs on
-it do not act in CalculiX.
+*COUPLING with *DISTRIBUTING distributes the loads on a reference node that itself does not move: masses and
+springs at this node have no effect in CalculiX.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SHIFTS, _TURNS = DIRECTIONS[:3], DIRECTIONS[3:]
 
 
 class _Body(NamedTuple):
-    """A reference node, the node whose displacement is the rotation, if it is not added, and the dependents."""
+    """A rigid body: its reference node, its rotation node (None if CalculiX adds one), and its dependent nodes."""
 
     reference: int
     rotation: int | None
@@ -47,7 +47,7 @@ def bodies_of(
     is_numbered: bool,
     held: set[DofName],
 ) -> tuple[list[Equation], list[str]]:
-    """Return the equations of the bodies of a deck, and notes on constraints that are not read.
+    """Return the equations of the bodies in a deck, and notes on constraints that are not read.
 
     Parameters
     ----------
@@ -59,10 +59,10 @@ def bodies_of(
     face : callable
         ``face(element, "S3")`` returns the nodes of a face of a solid element.
     is_numbered : bool
-        Whether the numbers of added nodes are known: the deck makes CalculiX store matrices, and has solids only.
+        Whether the numbers of added nodes are known: the deck makes CalculiX store matrices and has only solids.
     held : set of (node, direction)
-        What supports hold. Of rotations that are the displacements of added nodes, the latter are put in their
-        place.
+        Degrees of freedom that supports hold. A held rotation of a reference node is replaced in this set by the
+        displacement of the added node.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _couplings(
     face: Callable[[int, str], Sequence[int]],
     notes: list[str],
 ) -> Iterator[_Body]:
-    """Yield the kinematic couplings, and add a note on each coupling that is not read."""
+    """Yield the kinematic couplings; append a note to `notes` for each coupling that is not read."""
     for one, kind in pairwise([*found.keywords, Keyword("", {}, 0)]):
         if one.name != "COUPLING":
             continue

@@ -1,4 +1,4 @@
-"""Keywords of decks of CalculiX and Abaqus with sets and constraints, and what their lines name."""
+"""Keywords with sets and constraints in decks of CalculiX and Abaqus, and the nodes that their lines name."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ MOST_CHARACTERS = 2**28
 
 @dataclass(eq=False)
 class Keyword:
-    """A keyword with its options and its lines.
+    """A keyword with its options and lines.
 
     Attributes
     ----------
     name : str
     options : mapping of str to str
     line : int
-        Number of its line, for messages.
+        Line number of the keyword, for messages.
     lines : list of str
     """
 
@@ -59,7 +59,7 @@ class Keyword:
 
 @dataclass(eq=False)
 class Constraints:
-    """The constraints and sets of a deck, in its order.
+    """The constraints and sets of a deck, in the order of the deck.
 
     Attributes
     ----------
@@ -90,14 +90,14 @@ class Constraints:
         self.keywords[-1].lines.append(line)
 
     def count(self, n_members: int, source: str) -> None:
-        """Raise RefusedError if sets have too many members in all."""
+        """Raise RefusedError if the sets have too many members in total."""
         self.n_members += n_members
         if self.n_members > MOST_ENTRIES:
             raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")
 
 
 def add_set(found: Constraints, one: Keyword) -> None:
-    """Add the members of a set, each once; a set may name sets before it."""
+    """Add the members of a set, each once; a set may refer to earlier sets."""
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
     for words in one.rows():
@@ -114,7 +114,7 @@ def add_set(found: Constraints, one: Keyword) -> None:
 
 
 def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
-    """Return the node of a number, or the nodes of a set; RefusedError if there is no such set."""
+    """Return the node with a number, or the nodes of a set. Raise RefusedError if there is no such set."""
     if word.isdecimal() and len(word) <= 10:
         return [int(word)]
     if word not in found.nodes_of:
@@ -123,13 +123,13 @@ def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
 
 
 def require_node(node: int, places: Mapping[int, tuple[float, float, float]], source: str) -> None:
-    """Raise RefusedError if there is no node of this number."""
+    """Raise RefusedError if there is no node with this number."""
     if node not in places:
         raise RefusedError(f"must have the nodes of all constraints (there is no node {node}, of {source})")
 
 
 def whole(word: str, what: str) -> int:
-    """Return a whole number; ValueError, with the words `what`, if it is not one."""
+    """Return a word as a whole number. Raise ValueError, with the description `what`, if it is not one."""
     if not (word.isdecimal() and len(word) <= 10):
         raise ValueError(f"{what} must be a whole number (got {quote(word)})")
     return int(word)

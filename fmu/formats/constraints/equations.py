@@ -1,4 +1,4 @@
-"""Linear constraint equations: each gives one dependent degree of freedom as a weighted sum of others."""
+"""Linear constraint equations; each gives one dependent degree of freedom as a weighted sum of others."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ NEGLIGIBLE = 1e-14
 
 
 class Equation(NamedTuple):
-    """One dependent degree of freedom: u_dependent = Σ weight u.
+    """An equation for one dependent degree of freedom: u_dependent = Σ weight u.
 
     Attributes
     ----------
     dependent : (node id, direction)
     weights : mapping of (node id, direction) to float
-        Rotations are in rad. The axes are those of each node's degrees of freedom. Empty if the dependent degree
-        of freedom does not move.
+        Weights for rotations in rad, along the axes of each node's degrees of freedom. Empty if the dependent
+        degree of freedom does not move.
     source : str
         The entry of the file that gives the equation, for messages: ``"RBE2 11"``.
     """
@@ -37,7 +37,7 @@ class Equation(NamedTuple):
 
 
 def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Equation:
-    """Return the equation of the first degree of freedom in Σ factor u = 0; a name may occur several times.
+    """Return Σ factor u = 0 solved for the first degree of freedom; a degree of freedom may occur several times.
 
     Raises
     ------
@@ -62,12 +62,12 @@ def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Eq
 def solve_for_dependents(
     rows: Sequence[Mapping[DofName, float]], dependents: Sequence[DofName], source: str
 ) -> list[Equation]:
-    """Return the equations of the dependents of one constraint, from Σ coefficient u = 0 for each row.
+    """Return the equations of one constraint, given as Σ coefficient u = 0 for each row, solved for `dependents`.
 
     Parameters
     ----------
     rows : sequence of mapping of (node id, direction) to float
-        As many rows as dependents.
+        Coefficients; there must be as many rows as dependents.
     dependents : sequence of (node id, direction)
     source : str
         The entry of the file, for messages.
@@ -110,7 +110,7 @@ def equations_of(
 
 
 def show_name(name: DofName) -> str:
-    """Return the words that name a degree of freedom: ``node 8 x``."""
+    """Return the name of a degree of freedom in words, such as ``node 8 x``."""
     return f"node {name[0]} {name[1]}"
 
 

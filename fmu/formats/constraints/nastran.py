@@ -1,7 +1,7 @@
-"""Constraints in Nastran bulk data: RBE2, RBE3, RBAR, MPC and MPCADD; which sets of SPC and MPC act.
+"""Constraints in Nastran bulk data: RBE2, RBE3, RBAR, MPC and MPCADD, and which sets of SPC and MPC are active.
 
-MSC Nastran, *Quick reference guide*. Rigid elements always act. MPC and SPC entries act if the case control
-selects their set; in a file of bulk data alone all do.
+MSC Nastran, *Quick reference guide*. Rigid elements are always active. MPC and SPC entries are active if the case
+control selects their set; in a file that contains only bulk data, all of them are.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fmu.types import DIRECTIONS
 
 ENTRIES = ("RBE2", "RBE3", "RBAR", "MPC", "MPCADD", "SPCADD")
 UNREAD = ("RBE1", "RROD", "RTRPLT", "RSSCON", "RSPLINE", "RJOINT", "MPCAX", "SUPORT", "SUPORT1")
-"""Entries that constrain and are not read."""
+"""Constraint entries that are not read."""
 MOST_FIELDS = 2**22
 """Largest number of fields of all constraints."""
 _SELECTION = re.compile(r"(MPC|SPC)=(\d{1,9})$")
@@ -52,12 +52,12 @@ class Constraints:
         Number of fields of all entries.
     notes : list of str
     has_dmap : bool
-        Whether the executive control has DMAP, which alone has OUTPUT4 in Nastran.
+        Whether the executive control has DMAP; in Nastran, OUTPUT4 is allowed only there.
     is_of_mystran : bool
-        Whether the executive control has OUTPUT4 without DMAP, as MYSTRAN's has. MYSTRAN takes the
-        weights of rotations in an RBE3 as they are; see `fmu.formats.constraints.rigid`. MYSTRAN 18.0 has other
-        equations than Nastran if an RBE3 follows other components than 123, has other components than 123456 at
-        its reference point, or has points with axes of their own; a note says so.
+        Whether the executive control has OUTPUT4 without DMAP, as in MYSTRAN. MYSTRAN does not rescale the weights
+        of rotations in an RBE3; see `fmu.formats.constraints.rigid`. The equations of MYSTRAN 18.0 differ from
+        those of Nastran in three cases: an RBE3 follows components other than 123, has components other than
+        123456 at its reference point, or has points with their own axes. A note says so.
     """
 
     rigid: list[tuple[str, list[str]]] = field(default_factory=list)
@@ -72,7 +72,7 @@ class Constraints:
     is_of_mystran: bool = False
 
     def add(self, name: str, fields: list[str]) -> None:
-        """Keep an entry if it is one of constraints or of their selection."""
+        """Store an entry if it is a constraint or selects constraints."""
         if name in ENTRIES:
             self.n_fields += len(fields)
             if self.n_fields > MOST_FIELDS:
@@ -98,12 +98,12 @@ class Constraints:
                 self.selected[found[1]].add(int(found[2]))
 
     def sets(self, kind: str, known: Sequence[int]) -> list[int]:
-        """Return the sets of a kind, ``"MPC"`` or ``"SPC"``, that act, in ascending order.
+        """Return the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
 
         Raises
         ------
         RefusedError
-            If subcases select different sets, or a combined set is not in the deck.
+            If subcases select different sets, or a selected MPC set is not in the deck.
         """
         if not self.is_deck:
             return sorted(known)
@@ -125,15 +125,15 @@ class Constraints:
 def equations_of(
     constraints: Constraints, point: Callable[[int], Point], scalars: Collection[int]
 ) -> list[Equation]:
-    """Return the equations of the constraints that act, along the axes of each node's degrees of freedom.
+    """Return the equations of the active constraints, along the axes of each node's degrees of freedom.
 
     Parameters
     ----------
     constraints : Constraints
     point : callable
-        ``point(node)`` returns the place and axes of a node; RefusedError if there is no such node.
+        ``point(node)`` returns the position and axes of a node, or raises RefusedError if there is no such node.
     scalars : collection of int
-        Scalar points, which have the direction x alone.
+        Scalar points, which have only the direction x.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def _rbe3(
 
 
 def _groups(words: list[str], source: str) -> tuple[Followed, list[tuple[int, list[int]]]]:
-    """Return the groups of an RBE3, and the nodes and components of UM, if these are to be dependent instead."""
+    """Return the groups of an RBE3, and the nodes and components after UM if these are dependent instead."""
     groups: Followed = []
     dependents: list[tuple[int, list[int]]] = []
     at = 0

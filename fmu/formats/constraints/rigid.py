@@ -1,14 +1,14 @@
 """Rigid links, and points that follow the weighted mean motion of others (RBE3), as constraint equations.
 
-The small motion of a rigid body, x = (u, θ) at a reference point, moves a point at the distance r by u + θ × r and
-turns it by θ. A point that follows others by a weighted mean moves as the rigid body that fits them best,
+A small rigid-body motion x = (u, θ) at a reference point moves a point at distance r by u + θ × r and rotates it
+by θ. A point that follows others by a weighted mean moves with the rigid body that fits them best,
 
     minimise Σ_i w_i (u_i − H_iᵀ x)²    ⇒    Σ_i w_i H_i H_iᵀ x = Σ_i w_i H_i u_i,
 
-where H_iᵀ x is the motion along the degree of freedom i. MYSTRAN, *User's reference manual*, appendix E. Since
-version 70.7 the result does not depend on the units in Nastran (MSC Nastran, *Quick reference guide*, RBE3): the
-weights of rotations are multiplied by L², L the mean distance of the points from the reference point. No Nastran
-was at hand to compare this with. Without rotations among the followed components, L plays no part.
+where H_iᵀ x is the motion along degree of freedom i (MYSTRAN, *User's reference manual*, appendix E). Since
+version 70.7, the result in Nastran does not depend on the units (MSC Nastran, *Quick reference guide*, RBE3): the
+weights of rotations are multiplied by L², where L is the mean distance of the points from the reference point.
+This was not compared with Nastran, which was not available. L has no effect if no rotations are followed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Point(NamedTuple):
     place : ndarray, shape (3,)
         Global coordinates.
     axes : ndarray, shape (3, 3)
-        Unit vectors (rows) along which the node's degrees of freedom are.
+        Unit vectors (rows) in the directions of the node's degrees of freedom.
     """
 
     node: int
@@ -41,7 +41,7 @@ class Point(NamedTuple):
     axes: FloatArray
 
     def names(self, components: Sequence[int]) -> list[DofName]:
-        """Return the names of components from 1 to 6."""
+        """Return the names of the degrees of freedom for components numbered from 1 to 6."""
         return [(self.node, DIRECTIONS[k - 1]) for k in components]
 
 
@@ -49,7 +49,7 @@ ALL = (1, 2, 3, 4, 5, 6)
 
 
 def rigid_motion(point: Point, reference: Point) -> FloatArray:
-    """Return S (6, 6) of u_point = S u_reference, of a point on a rigid body, along each node's axes."""
+    """Return S, shape (6, 6), in u_point = S u_reference for a point on a rigid body, along each node's axes."""
     x, y, z = point.place - reference.place
     turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # θ × r = turned θ
     own, other = point.axes, reference.axes.T
@@ -62,7 +62,7 @@ def rigid_motion(point: Point, reference: Point) -> FloatArray:
 def rigid_link(
     reference: Point, points: Sequence[Point], components: Sequence[int], source: str
 ) -> list[Equation]:
-    """Return the equations of components (1 to 6) of points that move with a reference point as one rigid body."""
+    """Return equations by which components (1 to 6) of points move with a reference point as one rigid body."""
     rows = [k - 1 for k in components]
     found: list[Equation] = []
     for point in points:
@@ -76,7 +76,7 @@ def rigid_body(
     dependent: Sequence[tuple[Point, Sequence[int]]],
     source: str,
 ) -> list[Equation]:
-    """Return the equations of a rigid body whose motion six components of one or several points determine (RBAR).
+    """Return the equations of a rigid body (RBAR) whose motion is determined by six components at its points.
 
     Raises
     ------
@@ -108,24 +108,25 @@ def mean_motion(
     *,
     by_length: bool = True,
 ) -> list[Equation]:
-    """Return the equations of a reference point that follows the weighted mean motion of others (RBE3).
+    """Return the equations of a reference point that follows the weighted mean motion of other points (RBE3).
 
     Parameters
     ----------
     reference : Point
     components : sequence of int
-        Components from 1 to 6 of the reference point that follow.
+        Components from 1 to 6 of the reference point that follow the other points.
     followed : sequence of (Point, components, weight)
         The points with the components that are followed, and the weight of each of these components.
     source : str
         The entry of the file, for messages.
     by_length : bool
-        Whether the weights of rotations are multiplied by L², as in Nastran; MYSTRAN takes them as they are.
+        Whether the weights of rotations are multiplied by L², as in Nastran; in MYSTRAN they are not.
 
     Raises
     ------
     RefusedError
-        If the weights are not positive, or the followed components do not determine those of the reference point.
+        If the weights are not positive, or the followed components do not determine the components of the
+        reference point.
     """
     names = [name for point, which, _ in followed for name in point.names(which)]
     H = np.concatenate([_rows(point, which, reference) for point, which, _ in followed])
@@ -155,6 +156,6 @@ def _rows(point: Point, components: Sequence[int], reference: Point) -> FloatArr
 
 
 def _length(points: Sequence[Point], reference: Point) -> FloatArray:
-    """Return the scale (6,) of a rigid motion: 1 of displacements, 1/L of rotations, L the largest distance."""
+    """Return scales (6,) for a rigid motion: 1 for displacements and 1/L for rotations, L the largest distance."""
     size = max(float(np.linalg.norm(point.place - reference.place)) for point in points)
     return np.array([1.0] * 3 + [1.0 / size if size > 0.0 else 1.0] * 3)

@@ -1,7 +1,7 @@
 """The matrix T of u = T q, from equations whose dependent degrees of freedom may follow other dependents.
 
-With the equations u = C u + P q, where C has the weights of the dependents and P selects the independent degrees
-of freedom q, T = (I − C)⁻¹ P. Without circles C is nilpotent, and
+In the equations u = C u + P q, C contains the weights of the dependents and P selects the independent degrees of
+freedom q, so T = (I − C)⁻¹ P. Without circular dependencies C is nilpotent, and
 
     (I − C)⁻¹ = (I + C)(I + C²)(I + C⁴) …,
 
@@ -23,7 +23,7 @@ from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, RefusedError
 from fmu.formats.shown import names_shown
 
 TOLD = 6
-"""Number of degrees of freedom that a message names."""
+"""Largest number of degrees of freedom named in a message."""
 
 
 class Transformation(NamedTuple):
@@ -33,7 +33,7 @@ class Transformation(NamedTuple):
     ----------
     T : csr_array, shape (n_dof, n_independent)
     dofs : list of (node id, direction)
-        Names of the rows of T: those given, then the further ones that the equations name.
+        Names of the rows of T: the given names, followed by further names from the equations.
     independent : list of (node id, direction)
         Names of the columns, in the order of `dofs`.
     """
@@ -60,8 +60,8 @@ def transformation(
     Raises
     ------
     RefusedError
-        If a degree of freedom is dependent twice, or dependent and held, dependents follow each other in a circle,
-        or T has too many entries or an infinite one. The message names them and the constraints.
+        If a degree of freedom is dependent twice, or both dependent and held; if dependencies are circular; or if
+        T has too many entries or one that is not finite. The message names them and the constraints.
     """
     still = set(held)
     source = _check_dependents(equations, still)
@@ -94,7 +94,7 @@ def transformation(
 
 
 def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict[DofName, str]:
-    """Return the constraint of each dependent; RefusedError if there are two of them, or the dependent is held."""
+    """Return the constraint of each dependent. Raise RefusedError if it has two, or if the dependent is held."""
     source: dict[DofName, str] = {}
     for one in equations:
         name = one.dependent
@@ -110,7 +110,7 @@ def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict
 
 
 def _check_circles(C: sp.csr_array, names: Sequence[DofName], source: dict[DofName, str]) -> None:
-    """Raise RefusedError if dependents follow each other in a circle."""
+    """Raise RefusedError if the dependencies of degrees of freedom are circular."""
     _, label = connected_components(C, directed=True, connection="strong")
     _, first, count = np.unique(label, return_index=True, return_counts=True)
     alone = C.diagonal() != 0.0

@@ -1,10 +1,10 @@
 """Reader of frequency response functions in arrays: NumPy ``.npz``, MATLAB ``.mat`` and HDF5 files.
 
-The arrays have the names of the attributes of `fmu.FRFData`, or a usual name in `NAMES`; others are named by
-``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs is
-(n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines. An array (n_lines, n_responses,
-n_drives), as MATLAB's ``modalfrf`` returns it, has all FRFs of a test: one response per row, one drive per column.
-Points are rows of text, ``"tip z"``. Nothing is unpickled.
+The arrays have the names of the attributes of `fmu.FRFData`, or a common name in `NAMES`. Other names are given by
+``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs is (n_frfs,
+n_lines) or (n_lines, n_frfs), whichever fits the number of lines. An array (n_lines, n_responses, n_drives), as
+returned by MATLAB's ``modalfrf``, contains all FRFs of a test: one response per row, one drive per column. Points
+are rows of text, such as ``"tip z"``. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ NAMES = {
     "drives": ("drives",),
     "responses": ("responses",),
 }
-"""Names of arrays by the attribute of `fmu.FRFData`."""
+"""Names under which an array is found, by the attribute of `fmu.FRFData`."""
 _HDF5 = (b"MATLAB 7.3", b"\x89HDF")
 
 
@@ -64,7 +64,7 @@ def read_npz(path: Path, wanted: Wanted) -> MeasuredFRFs:
 
 
 def read_mat(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs in a MATLAB or HDF5 file; see `of_arrays`. A separate process reads it, as it may crash."""
+    """Return the FRFs in a MATLAB or HDF5 file, read in a separate process since it may crash; see `of_arrays`."""
     checked_file(path, LARGEST_FILE)
     with open(path, "rb") as file:
         is_hdf5 = file.read(10).startswith(_HDF5)
@@ -86,12 +86,13 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
     arrays : mapping of str to ndarray
     wanted : Wanted
     lines_first : bool
-        Whether the first axis of a square matrix of FRFs is of lines.
+        Whether the lines are along the first axis of a square matrix of FRFs.
 
     Raises
     ------
     ModesError
-        If there are no frequencies or FRFs, their shapes do not fit, or points are neither in the file nor given.
+        If there are no frequencies or FRFs, if their shapes do not match, or if points are neither in the file nor
+        given.
     """
     found = {attribute: _find(name, arrays, attribute, wanted.variables) for attribute in NAMES}
     for attribute in ("frequencies_hz", "values"):
@@ -140,7 +141,7 @@ def mat_arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> Iterator[tuple[str, AnyArray]]:
-    """Yield the name and the value of each array of numbers or text, in structures too."""
+    """Yield the name and value of each array of numbers or text, including those in structures."""
     for name, value in content.items():
         array = np.asarray(value)
         fields = getattr(value, "_fieldnames", None)
@@ -153,7 +154,7 @@ def _flat(prefix: str, content: Mapping[str, Any]) -> Iterator[tuple[str, AnyArr
 
 
 def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of numbers and of text of an HDF5 file, such as a file of MATLAB 7.3.
+    """Return the arrays of numbers and of text in an HDF5 file, such as a MATLAB 7.3 file.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
     numbers as pairs.
@@ -176,7 +177,7 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
-    """Return the numbers or the text of a dataset; None if it has neither."""
+    """Return the numbers or the text in a dataset; None if it contains neither."""
     if dataset.nbytes > LARGEST_CONTENT:
         raise ValueError(f"must hold at most {LARGEST_CONTENT} bytes (got {dataset.nbytes})")
     if dataset.dtype.kind == "O":
@@ -195,7 +196,7 @@ def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
 def _find(
     name: str, arrays: Mapping[str, AnyArray], attribute: str, variables: Mapping[str, str]
 ) -> AnyArray | None:
-    """Return the array of an attribute, or None; ModesError if the array that the user named is not there."""
+    """Return the array of an attribute, or None. Raise ModesError if the array that the user named is missing."""
     if attribute in variables:
         if variables[attribute] not in arrays:
             rule = f"must be one of {names_shown(list(arrays))} (got {variables[attribute]!r})"
@@ -211,7 +212,7 @@ def _numbers(name: str, attribute: str, array: AnyArray | None) -> AnyArray:
 
 
 def _rows(name: str, attribute: str, array: AnyArray, n_lines: int, lines_first: bool) -> AnyArray:
-    """Return an array of FRFs with one row per FRF, (n_frfs, n_lines)."""
+    """Return an array of FRFs with one row per FRF, shape (n_frfs, n_lines)."""
     if array.ndim < 2:
         array = array.reshape(1, -1)
     axes = [axis for axis in (0, array.ndim - 1) if array.shape[axis] == n_lines]

@@ -22,7 +22,7 @@ _NUMBER = re.compile(r"-?\d{1,18}")
 
 
 class Wanted(NamedTuple):
-    """What a user says of a file.
+    """The user's specifications for a file.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Wanted(NamedTuple):
     nodes : mapping of node number to place, optional
         Place in the model of each node of the file; FRFs at other nodes are skipped.
     variables : mapping of str to str
-        Names of the variables of the file, by the names of the attributes of `fmu.FRFData`.
+        Names of the variables in the file, by the names of the attributes of `fmu.FRFData`.
     frfs : sequence of int, optional
-        Numbers of the FRFs of the file, from 1.
+        Numbers of the FRFs in the file, counted from 1.
     """
 
     drives: Points | None = None
@@ -54,11 +54,11 @@ class MeasuredFRFs:
         NaN where the file has no value.
     drives, responses : tuple of (place, direction)
     kind : str, optional
-        As in `fmu.FRFData`, if the file says it.
+        As in `fmu.FRFData`, if the file specifies it.
     sd, coherence : ndarray, shape (n_frfs, n_lines), optional
     averages : float, optional
     notes : tuple of str
-        Sentences on what was assumed.
+        Sentences on the assumptions made.
     """
 
     frequencies_hz: FloatArray
@@ -72,7 +72,7 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
 
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
-        """Return the FRFs with the given numbers, from 1; all if `frfs` is None. `name` is the file's."""
+        """Return the FRFs with the given numbers, from 1; all if `frfs` is None. `name` is the file's name."""
         if frfs is None:
             return self
         rows = rows_of(name, frfs, len(self.values))
@@ -92,7 +92,7 @@ class MeasuredFRFs:
 
 @dataclass(frozen=True)
 class FRFFormat:
-    """A format of files with FRFs.
+    """A file format for FRFs.
 
     Attributes
     ----------
@@ -110,7 +110,10 @@ class FRFFormat:
 
 
 def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
-    """Return the rows (from 0) of the FRFs with the given numbers; ModesError if there is no such FRF of `n`."""
+    """Return the rows (from 0) of the FRFs with the given numbers.
+
+    Raises ModesError unless they are from 1 to `n`.
+    """
     wrong = [number for number in frfs if not 1 <= number <= n]
     if wrong or len(frfs) == 0:
         raise ModesError(name, [f"frfs: must be numbers from 1 to {n} (got {wrong[0] if wrong else 'none'})"])
@@ -118,7 +121,7 @@ def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
 
 
 def point_of(text: str) -> Dof:
-    """Return the place and the direction of a point in a file, such as ``"tip -z"`` or ``"12 x"``."""
+    """Return the place and direction of a point that a file gives as text, such as ``"tip -z"`` or ``"12 x"``."""
     place, _, direction = text.strip().rpartition(" ")
     place = place.strip()
     return (int(place) if _NUMBER.fullmatch(place) else place, direction)
@@ -127,7 +130,7 @@ def point_of(text: str) -> Dof:
 def points_in_order(
     name: str, key: str, found: Sequence[Dof] | None, given: Points | None, n: int
 ) -> tuple[Dof, ...]:
-    """Return the given points, or else those found in the file; ModesError if neither are there, `n` of them."""
+    """Return the given points, or else those found in the file. Raise ModesError if there are not `n` of them."""
     points = found if given is None else given
     if points is None:
         raise ModesError(name, [f"{key}: must be given, the place and the direction of each of the {n} FRFs"])
@@ -137,6 +140,6 @@ def points_in_order(
 
 
 def check_size(name: str, values: AnyArray) -> None:
-    """Raise ModesError for more than `MOST_VALUES` values."""
+    """Raise ModesError if there are more than `MOST_VALUES` values."""
     if values.size > MOST_VALUES:
         raise ModesError(name, [f"must have at most {MOST_VALUES} values, FRFs x lines (got {values.size})"])

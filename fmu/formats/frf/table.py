@@ -1,20 +1,20 @@
-"""Reader of frequency response functions from text tables, as spreadsheets write them.
+"""Reader of frequency response functions from text tables, as written by spreadsheets.
 
-One row per line, and per FRF the columns ``re`` and ``im``, or ``amplitude`` and ``phase_deg``, after its response
-and its drive; ``coherence`` and ``sd`` may be there too::
+In the first form there is one row per frequency line. The columns of an FRF are ``re`` and ``im``, or
+``amplitude`` and ``phase_deg``, preceded by its response and its drive; ``coherence`` and ``sd`` are optional::
 
     frequency_hz,tip z / root y re,tip z / root y im,tip z / root y coherence
     10.0,0.0012,-0.0004,0.98
     10.5,0.0013,-0.0005,0.99
 
-Or one row per value::
+In the second form there is one row per value::
 
     frequency_hz,response,drive,amplitude,phase_deg
     10.0,tip z,root y,0.0013,-18.4
     10.5,tip z,root y,0.0014,-21.0
 
-A point is a node, or its name, a blank, and a direction: x, y, z, rx, ry or rz, with or without a minus. A cell is
-empty or ``nan`` where there is no value. Values are in SI units; separators and comments are as in
+A point is a node or its name, a blank, and a direction: x, y, z, rx, ry or rz, optionally with a minus sign. A
+cell without a value is empty or ``nan``. Values are in SI units; separators and comments are as in
 `fmu.formats.modes.csv`.
 """
 
@@ -88,7 +88,7 @@ def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
 def _read_wide(
     path: Path, header: Sequence[str], rows: Sequence[Row], found: list[str]
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
-    """Return the lines and the columns of each FRF, by response and drive, of a table of a row per line."""
+    """Return frequencies, and the columns of each FRF by response and drive, of a table with a row per line."""
     frfs: dict[tuple[str, str], _Columns] = {}
     for name in header:
         match = _COLUMN.fullmatch(name)
@@ -106,7 +106,7 @@ def _read_wide(
 def _read_long(
     path: Path, header: Sequence[str], rows: Sequence[Row], found: list[str]
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
-    """Return the lines and the columns of each FRF, by response and drive, of a table of a row per value."""
+    """Return frequencies, and the columns of each FRF by response and drive, of a table with a row per value."""
     parts = [name for name in header if name not in (_FREQUENCY, *_POINTS)]
     allowed = [*(name for pair in _PAIRS for name in pair), *_OPTIONAL]
     found += [f"column {name}: must be one of {names_shown(allowed)}" for name in parts if name not in allowed]
@@ -136,7 +136,7 @@ def _read_long(
 
 
 def _check_pair(parts: Sequence[str], of: str, found: list[str]) -> None:
-    """Add an error unless the columns have either re and im, or amplitude and phase_deg."""
+    """Append an error to `found` unless the columns are re and im, or amplitude and phase_deg."""
     if sorted(name for name in parts if name not in _OPTIONAL) not in [sorted(pair) for pair in _PAIRS]:
         found.append(f"must have columns re and im, or amplitude and phase_deg{of} (got {names_shown(parts)})")
 
@@ -155,7 +155,7 @@ def _frequencies(rows: Sequence[Row], found: list[str]) -> FloatArray:
 
 
 def _column(rows: Sequence[Row], name: str, found: list[str]) -> FloatArray:
-    """Return a column of numbers; NaN for an empty cell."""
+    """Return a column of numbers, NaN for an empty cell; append an error to `found` for each invalid cell."""
     column = np.empty(len(rows))
     for i, row in enumerate(rows):
         text = row.values[name]

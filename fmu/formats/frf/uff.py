@@ -1,9 +1,9 @@
 """Reader of frequency response functions in universal files: dataset 58, "Function at Nodal DOF".
 
 The datasets are read by pyuff: text or binary, even or uneven spacing, single or double precision (University of
-Cincinnati, *Universal File Formats for Modal Analysis Testing*). Function type 4 is an FRF, 6 a coherence. The
-data types of the ordinate and its denominator give the kind; dataset 164 gives the units; the directions are along
-the axes of the displacement coordinate system of the node (datasets 15 or 2411, with 18 or 2420).
+Cincinnati, *Universal File Formats for Modal Analysis Testing*). Function type 4 is an FRF, type 6 a coherence.
+The kind follows from the data types of the ordinate and its denominator, the units from dataset 164. Directions
+are along the axes of the node's displacement coordinate system (datasets 15 or 2411, with 18 or 2420).
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ _KINDS = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _UNKNOWN = (0, 1)
 _SHAPES: tuple[Kind, ...] = ("R", "C", "S")
 _ALONG = 1e-4
-"""Largest component of an axis across a global axis to which it is parallel."""
+"""Largest component perpendicular to a global axis of an axis that counts as parallel to it."""
 _SAME_LINES = 1e-5
 """Largest relative difference of the frequencies of two FRFs, which have six digits in a file."""
 
 
 def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs of a universal file, in SI units and along global axes.
+    """Return the FRFs in a universal file, in SI units and along global axes.
 
     Raises
     ------
     FileNotFoundError, ImportError
         If the file does not exist, or pyuff is not installed.
     ModesError
-        If the file cannot be read; has no FRFs, or FRFs with different lines, kinds or units; or an FRF has no
-        direction along a global axis.
+        If the file cannot be read; if it has no FRFs, or FRFs with different lines, kinds or units; or if an FRF
+        has no direction along a global axis.
     """
     kinds = (FUNCTIONS, UNITS, *SYSTEMS, *NODES)
     sets = read_datasets(checked_file(path, LARGEST_FILE), kinds, "FRFs", _wrong)
@@ -94,7 +94,7 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
 
 
 class _Axes:
-    """The global directions of the axes at each node."""
+    """The displacement axes of each node, in global directions."""
 
     def __init__(self, sets: Sequence[Dataset], nodes: Mapping[int, Place]) -> None:
         self.nodes, self.notes = nodes, list[str]()
@@ -114,7 +114,10 @@ class _Axes:
         self._systems = Systems(definitions, known)
 
     def points(self, frfs: Sequence[Dataset], end: str, mistakes: list[str]) -> list[Dof]:
-        """Return the place and the global direction of one end, "rsp" or "ref", of each FRF."""
+        """Return the place and global direction of each FRF at one end: "rsp" (response) or "ref" (reference).
+
+        Errors are appended to `mistakes`.
+        """
         found: list[Dof] = []
         for one in frfs:
             node, number = int(one[f"{end}_node"]), int(one[f"{end}_dir"])
@@ -130,7 +133,7 @@ class _Axes:
         return found
 
     def _direction(self, node: int, number: int, where: str, mistakes: list[str]) -> str:
-        """Return the global direction of a direction from ±1 to ±6 at a node."""
+        """Return the global direction of a local direction at a node, numbered from ±1 to ±6."""
         system = self._system.get(node, 0)
         about, k = divmod(abs(number) - 1, 3)
         try:
@@ -147,7 +150,7 @@ class _Axes:
 
 
 def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
-    """Return the number and the definition of each coordinate system of a dataset 18 or 2420."""
+    """Return the number and the definition of each coordinate system in a dataset 18 or 2420."""
     found = []
     if one["type"] == SYSTEMS[0]:
         columns = (one[key] for key in ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point"))
@@ -166,7 +169,7 @@ def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return the list of errors in a dataset that pyuff read, since pyuff accepts any number of values."""
+    """Return the errors in a dataset read by pyuff, which accepts any number of values."""
     if one["type"] in SYSTEMS:
         kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
         return (
@@ -193,7 +196,7 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
-    """Return the frequencies that all FRFs have, Hz."""
+    """Return the frequencies of the lines in Hz. Raise ModesError if they are not the same in all FRFs."""
     lines = np.asarray(frfs[0]["x"], dtype=float)[: frfs[0]["num_pts"]]
     for k, one in enumerate(frfs, 1):
         x = np.asarray(one["x"], dtype=float)[: one["num_pts"]]
@@ -206,7 +209,7 @@ def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
 
 
 def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
-    """Return the kind of all FRFs; None if the file does not say it."""
+    """Return the common kind of all FRFs; None if the file does not specify it."""
     found = set()
     for one in frfs:
         top, bottom = int(one["ordinate_spec_data_type"]), int(one["orddenom_spec_data_type"])
@@ -226,7 +229,7 @@ def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
 
 
 def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
-    """Return the numbers of units of length and of force of the file in 1 m and 1 N, and notes."""
+    """Return 1 m and 1 N in the file's units of length and force, and notes."""
     factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
     if len(factors) > 1:
         raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
@@ -245,7 +248,7 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
 
 
 def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
-    """Return the coherence of each FRF (n_frfs, n_lines), if the file has it for all."""
+    """Return the coherence of each FRF, shape (n_frfs, n_lines); None unless the file has it for all FRFs."""
     ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
     of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
     rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]
@@ -254,7 +257,7 @@ def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: Flo
 
 
 def _labels(frfs: Sequence[Dataset]) -> list[str]:
-    """Return a note if the axis label of accelerations names g."""
+    """Return a note if the axis label gives accelerations in g."""
     labels = {str(one["ordinate_axis_units_lab"]).strip() for one in frfs}
     of_g = sorted(label for label in labels if label.lower().partition("/")[0].strip() in ("g", "gn", "g's"))
     if not of_g:

@@ -1,4 +1,4 @@
-"""Reader of the global matrices, and of the matrices of elements, that Abaqus writes as text to ``.mtx`` files.
+"""Reader of the global matrices and element matrices that Abaqus writes as text to ``.mtx`` files.
 
 A separate step in the input deck::
 
@@ -7,18 +7,19 @@ A separate step in the input deck::
     *MATRIX OUTPUT, STIFFNESS, MASS, FORMAT=MATRIX INPUT
     *END STEP
 
-gives ``job_STIF1.mtx`` and ``job_MASS1.mtx``, with lines of row node, row degree of freedom, column node, column
-degree of freedom, entry; a symmetric matrix may have only one entry of each pair. ``FORMAT=COORDINATE`` gives
+writes ``job_STIF1.mtx`` and ``job_MASS1.mtx``, with lines of row node, row degree of freedom, column node, column
+degree of freedom, entry. A symmetric matrix may have only one entry of each pair. ``FORMAT=COORDINATE`` writes
 lines of row, column, entry, without the names of the degrees of freedom.
 
 In a step of any kind, the matrices of the elements of a set are written to ``left.mtx`` by::
 
     *ELEMENT MATRIX OUTPUT, ELSET=LEFT, STIFFNESS=YES, MASS=YES, OUTPUT FILE=USER DEFINED, FILE NAME=left
 
-Their sum is read: the stiffness or mass of one property group, without supports and constraints. Each element has
-its nodes in comments, its degrees of freedom as ``*USER ELEMENT`` has them (those of the first node; further lines
-begin with the position of the node from which others hold), and the lower triangle of each matrix, row by row.
-Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER ELEMENT``, ``*MATRIX``.
+fmu reads their sum, which is the stiffness or mass of one property group without supports and constraints. For
+each element, comments list its nodes, and ``*USER ELEMENT`` gives the degrees of freedom of its first node;
+further lines give the position of a node and the degrees of freedom from that node on. The lower triangle of each
+matrix follows, row by row. Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER ELEMENT``,
+``*MATRIX``.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
     Returns
     -------
     matrix : scipy.sparse.csr_array, shape (n_dof, n_dof)
-        Mirrored where ``MATRIX INPUT`` has one entry of each pair; degrees of freedom in ascending order.
+        Both triangles, even if ``MATRIX INPUT`` has only one entry of each pair; degrees of freedom in ascending
+        order.
     dofs : tuple or None
 
     Raises
@@ -96,13 +98,13 @@ OF_ELEMENTS = b"*USER ELEMENT"
 """Keyword of each element in a file of their matrices."""
 _KINDS = ("stiffness", "mass")
 _AT_A_TIME = 2**20
-"""Number of entries after which those of further elements are added to the sum."""
+"""Number of entries that are collected before they are added to the sum."""
 _MOST_NODES = 100
 """Largest number of nodes of an element."""
 
 
 class _Element(NamedTuple):
-    """One matrix of an element: its kind, its degrees of freedom (8 × node + direction) and its lower triangle."""
+    """One matrix of an element: number, kind, degrees of freedom as 8 × node + direction, and lower triangle."""
 
     number: str
     kind: str
@@ -111,7 +113,7 @@ class _Element(NamedTuple):
 
 
 def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
-    """Return the sum of the matrices of elements, with the names of its rows.
+    """Return the sum of the element matrices in a file, with the names of its rows.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     Raises
     ------
     ValueError
-        If an element is malformed: numbers of nodes, directions, or entries.
+        If an element has a wrong number of nodes or entries, or wrong directions.
     RefusedError
         If there is no matrix of this name, or there are too many entries.
     """
@@ -169,7 +171,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
 def _add_entries(
     total: sp.csr_array, places: list[IntArray], entries: list[FloatArray], size: int
 ) -> sp.csr_array:
-    """Return a matrix with entries added at places (2, n), with as many rows as there are names by now."""
+    """Return `total`, enlarged to `size` rows, plus the entries at the given rows and columns, each (2, n)."""
     total.resize((size, size))
     if not entries:
         return total
@@ -178,7 +180,7 @@ def _add_entries(
 
 
 def _elements(lines: Iterable[str]) -> Iterator[_Element]:
-    """Yield the matrices of the elements of a file, one by one."""
+    """Yield the element matrices in a file one by one."""
     nodes: list[int] = []
     of_node: dict[int, list[int]] = {}
     n_nodes, reading, kind, number, owner = 0, "", "", "", ""
@@ -244,14 +246,14 @@ def _whole(word: str) -> int:
 
 
 def _without_keywords(text: str) -> str:
-    """Return a text without its keyword lines, and with blanks in place of commas."""
+    """Return a text without its keyword lines, and with commas replaced by blanks."""
     if "*" in text:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("*"))
     return text.replace(",", " ")
 
 
 def _places(names: FloatArray) -> IntArray:
-    """Return the row and column of each entry (n, 2): as given, or coded as 8 × node + degree of freedom."""
+    """Return the row and column of each entry, shape (n, 2); names are encoded as 8 × node + degree of freedom."""
     if np.any(names != np.floor(names)) or np.any(names < 1) or np.any(names > LARGEST_NUMBER):
         raise ValueError(
             f"nodes, degrees of freedom, rows and columns must be whole numbers from 1 to {LARGEST_NUMBER}"

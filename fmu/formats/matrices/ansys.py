@@ -1,7 +1,7 @@
-"""Reader of stiffness and mass in Ansys ``.full`` files, by ansys-mapdl-reader in a separate process.
+"""Reader of stiffness and mass in Ansys ``.full`` files, using ansys-mapdl-reader in a separate process.
 
-A modal analysis leaves ``file.full`` (``WRFULL,1`` stops after writing it). Rows held by supports are empty.
-The library crashes the process on broken files, and so does mapdl-archive.
+A modal analysis leaves ``file.full`` behind (``WRFULL,1`` stops after writing it). Rows held by supports are
+empty. The library crashes the process on broken files, and so does mapdl-archive.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NAMES = ("stiffness", "mass")
 
 
 def full_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return a dict of the arrays in a ``.full`` file; needs ansys-mapdl-reader.
+    """Return the arrays in a ``.full`` file by name; ansys-mapdl-reader must be installed.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def full_arrays(path: Path) -> dict[str, AnyArray]:
 
 @lru_cache(maxsize=1)
 def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
-    """Return the dict of arrays in a file, cached because stiffness and mass are read one after the other."""
+    """Return the arrays in a file by name, cached because stiffness and mass are read one after the other."""
     return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 
 

@@ -7,9 +7,9 @@ The step of the input deck must be::
 
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
 ``job.dof`` is ``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can
-have the name of one node. These rows get new node ids above those in the file, and the displacement of the
-original node is their mean. ``job.12d`` lists the expanded nodes; without that file, every name that occurs more
-than once is taken as expanded.
+have the name of one node. These rows are given new node ids above those in the file, and the displacement of the
+original node is the mean over them. ``job.12d`` lists the expanded nodes. Without that file, every name that
+occurs more than once is assumed to be expanded.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MOST_NODES = 100
 
 
 def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
-    """Return the matrix of a ``.sti`` or ``.mas`` file, both triangles filled, shape (n_dof, n_dof).
+    """Return the matrix in a ``.sti`` or ``.mas`` file, with both triangles, shape (n_dof, n_dof).
 
     Raises
     ------
@@ -120,7 +120,7 @@ class _Expansion(NamedTuple):
         Number of solid nodes per original node: on both faces and possibly in the middle of a shell, or around a
         beam.
     rigid : set of int
-        Original nodes whose copies move with them as a rigid body ("knots"); their rows are those of the original.
+        Original nodes whose copies move with them as a rigid body ("knots"); only the original node has rows.
     """
 
     copies: dict[int, int]
@@ -151,7 +151,7 @@ def _expansion(path: Path) -> _Expansion:
 
 
 def _copies(is_shell: bool, k: int, n: int) -> int:
-    """Return the number of solid nodes that CalculiX makes of node k, from 0, of the n nodes of an element."""
+    """Return the number of solid nodes into which CalculiX expands node k (from 0) of an element with n nodes."""
     if is_shell:
         return 3 if n >= 6 and k < n // 2 else 2
     return 8 if n == 3 and k != 1 else 4

@@ -19,7 +19,7 @@ from fmu.formats.matrices.limits import Labelled, MatrixFormat, check_indices, e
 from fmu.types import FloatArray
 
 LONGEST_LINE = 4096
-"""Longest line that is accepted, bytes; the format has lines of 80."""
+"""Longest line that is accepted, bytes; the format specifies lines of 80."""
 
 
 def parse(file: BinaryIO) -> sp.csc_array:
@@ -28,7 +28,7 @@ def parse(file: BinaryIO) -> sp.csc_array:
     Returns
     -------
     scipy.sparse.csc_array, shape (n_rows, n_columns)
-        A symmetric matrix (``RSA``), stored in the file as one triangle, is returned with both triangles.
+        A symmetric matrix (``RSA``), which the file stores as one triangle, is returned with both triangles.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def _lines(file: BinaryIO, count: int) -> Iterator[str]:
 
 
 def _count(line: str, at: int) -> int:
-    """Return the count in the 14 columns of a header line from column `at`."""
+    """Return the number in the 14 columns of a header line from column `at` on."""
     word = line[at : at + 14].strip()
     if not word.isdecimal():
         raise ValueError(f"its header must have counts (got {word!r})")
@@ -83,7 +83,8 @@ def _count(line: str, at: int) -> int:
 def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> FloatArray:
     """Return the numbers on lines of fixed-width columns, such as ``(10I8)`` or ``(1P,3D26.18)``.
 
-    If blanks separate the expected number of words, widths are ignored: SciPy writes wider columns than stated.
+    If blanks separate the expected number of words, the widths are ignored: SciPy writes wider columns than
+    stated.
     """
     if n_lines > expected:
         raise ValueError(f"it announces {n_lines} lines for {expected} numbers")

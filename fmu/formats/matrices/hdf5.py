@@ -71,7 +71,7 @@ def read(path: Path, variable: str | None) -> Labelled:
 
 
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
-    """Yield each group and dataset of a file once by path; parts of sparse matrices and links are skipped."""
+    """Yield the path and object of each group and dataset, without links and the parts of sparse matrices."""
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):
         if not ahead:
@@ -126,14 +126,14 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 
 
 def _part(group: h5py.Group, name: str) -> AnyArray:
-    """Return one array of a sparse matrix; RefusedError for a group, or for a soft or external link."""
+    """Return one array of a sparse matrix. Raise RefusedError for a group, or for a soft or external link."""
     if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
     return _numbers(group[name])
 
 
 def _numbers(dataset: h5py.Dataset) -> AnyArray:
-    """Return the array of a dataset, after checking that it is numeric, stored in this file and not too large.
+    """Return the array in a dataset, after checking that it is numeric, stored in this file and not too large.
 
     A dataset may be stored in other files, and its chunks, each read as a whole, may be larger than the dataset.
     """

@@ -1,4 +1,4 @@
-"""Calls of library readers that crash on broken files, each in a separate process."""
+"""Calls of library readers that crash on broken files, each made in a separate process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Interface of a matrix format, limits on file sizes, and readers of numbers from text within these limits."""
+"""Interface of a matrix format, limits on file sizes, and readers of numbers in text within these limits."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Motions = Mapping[DofName, Mapping[DofName, float]]
 
 
 class Labelled(NamedTuple):
-    """A matrix, and the degrees of freedom (node, direction) of its rows where the file names them.
+    """A matrix, and the degrees of freedom (node, direction) of its rows if the file names them.
 
     Attributes
     ----------
@@ -47,13 +47,13 @@ class Labelled(NamedTuple):
     motions : mapping of (node, direction) to mapping of (node, direction) to float
         Displacements and rotations that are weighted sums of several degrees of freedom, with their weights.
     fill : bool
-        Whether a matrix with entries in one triangle only is treated as symmetric.
+        Whether a matrix with entries in only one triangle is treated as symmetric.
     notes : tuple of str
         One sentence for each triangle that was filled in.
     in_input_order : bool
-        Whether rows without names are in the order in which the deck defines the nodes, as MYSTRAN has them.
+        Whether rows without names are in the order in which the deck defines the nodes, as in MYSTRAN.
     is_whole : bool
-        Whether the matrix is known to have neither supports nor constraints, as a sum of elements.
+        Whether the matrix is known to include neither supports nor constraints, like a sum of element matrices.
     """
 
     matrix: Matrix
@@ -67,19 +67,19 @@ class Labelled(NamedTuple):
 
 @dataclass(frozen=True)
 class MatrixFormat:
-    """A format of files with matrices.
+    """A file format for matrices.
 
     Attributes
     ----------
     suffixes : tuple of str
         Suffixes of the file names, in lower case.
     read : callable
-        ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise anything; the
-        text of a `RefusedError` is shown unchanged.
+        ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise any exception;
+        the text of a `RefusedError` is shown unchanged.
     has_names : bool
-        Whether a file may hold several matrices, each with a name.
+        Whether a file may contain several named matrices.
     largest : int
-        Largest size of a file, bytes, if it exceeds `LARGEST_FILE`: the reader then keeps only what is not zero.
+        Largest file size in bytes, if it exceeds `LARGEST_FILE` because the reader keeps only nonzero entries.
     """
 
     suffixes: tuple[str, ...]
@@ -89,12 +89,12 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """The error for a readable file that lacks the required content, or holds too much.
+    """Raised for a readable file that lacks the required content or contains too much.
 
     Attributes
     ----------
     record : ArgumentError
-        The error's key is ``variable`` if the name of the matrix is at fault, and empty otherwise.
+        Its key is ``variable`` if the name of the matrix is at fault, and empty otherwise.
     """
 
     def __init__(self, rule: str, key: str = "") -> None:
@@ -103,11 +103,11 @@ class RefusedError(Exception):
 
 
 class NoMatrixError(RefusedError):
-    """The error for a readable file without a matrix."""
+    """Raised for a readable file without a matrix."""
 
 
 class SeveralError(RefusedError):
-    """The error for a file with several matrices if the name of one was not given.
+    """Raised for a file with several matrices if no name was given.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class SeveralError(RefusedError):
 
 
 def choose_variable(names: Sequence[str], variable: str | None) -> str:
-    """Return the name of the variable to read."""
+    """Return the name of the matrix to read. Raise an error unless `variable` or the file determines it."""
     if not names:
         raise NoMatrixError("must hold a matrix (it holds none)")
     if variable is None and len(names) > 1:
@@ -132,19 +132,19 @@ def choose_variable(names: Sequence[str], variable: str | None) -> str:
 
 
 def fitting(n_bytes: int) -> None:
-    """Raise RefusedError for more than `LARGEST_CONTENT` bytes, counted after decompression."""
+    """Raise RefusedError if there are more than `LARGEST_CONTENT` bytes, counted after decompression."""
     if n_bytes > LARGEST_CONTENT:
         raise RefusedError(f"must hold at most {LARGEST_CONTENT} bytes (got {n_bytes})")
 
 
 def entries_within(n_entries: int) -> None:
-    """Raise RefusedError for more than `MOST_ENTRIES` entries."""
+    """Raise RefusedError if there are more than `MOST_ENTRIES` entries."""
     if n_entries > MOST_ENTRIES:
         raise RefusedError(f"must have at most {MOST_ENTRIES} entries, both triangles counted (got {n_entries})")
 
 
 def rows_within(n_rows: int) -> None:
-    """Raise RefusedError for a matrix of more than `MOST_DOFS` rows."""
+    """Raise RefusedError if a matrix has more than `MOST_DOFS` rows."""
     if n_rows > MOST_DOFS:
         raise RefusedError(f"must have at most {MOST_DOFS} degrees of freedom (got {n_rows})")
 
@@ -162,7 +162,7 @@ def check_indices(matrix: sp.sparray) -> None:
 
 
 def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
-    """Return the symmetric csr_array of a matrix with only one entry of each symmetric pair.
+    """Return a matrix that has only one entry of each symmetric pair as a full symmetric csr_array.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = N
 
 
 def text_blocks(file: BinaryIO) -> Iterator[str]:
-    """Yield the text of a file in parts that end at a line end; memory use stays within a few blocks.
+    """Yield the text of a file in blocks that end at a line end; memory use is limited to a few blocks.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def text_blocks(file: BinaryIO) -> Iterator[str]:
 
 
 def text_lines(file: BinaryIO) -> Iterator[str]:
-    """Yield the lines of a text without their line-end characters; see `text_blocks`."""
+    """Yield the lines of a text file without line-end characters; see `text_blocks`."""
     for text in text_blocks(file):
         yield from (line.rstrip("\r") for line in text.removesuffix("\n").split("\n"))
 
@@ -242,7 +242,7 @@ def tables(
     delimiter : str, optional
         Separator between numbers; blanks if not given.
     cleaned : callable, optional
-        A function applied to each part of the text first.
+        A function applied to each block of text before it is parsed.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Reader of full and sparse numeric matrices in MATLAB files of versions 5 to 7 (version 7.3 is HDF5).
 
-MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files; this reader reads
-numeric matrices only, and raises an error if a file is cut short.
+MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files. This reader reads
+only numeric matrices, and raises an error if a file is cut short.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     """Return a matrix in a MATLAB file, with the names of its rows if the file has them.
 
     A matrix in a struct is named ``model.K``. The names of its rows are a matrix ``dofs`` in the same struct or
-    file, one row per degree of freedom: node id, and 1 to 6 for x, y, z, rx, ry, rz.
+    file, one row per degree of freedom: the node id, and a number from 1 to 6 for x, y, z, rx, ry, rz.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     n_bytes : int
         Size of the file.
     variable : str, optional
-        Name of the matrix; not needed if the file has only one matrix, scalars not counted.
+        Name of the matrix; not needed if the file has only one matrix, not counting scalars.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
 
 
 def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
-    """Return a matrix of a file as an ndarray or a csc_array."""
+    """Return a matrix in a file as an ndarray or a csc_array."""
     if one.kind & _COMPLEX:
         raise RefusedError("must hold a real matrix (it is complex)")
     rows, columns = one.shape
@@ -166,7 +166,7 @@ def _is_matrix(kind: int, shape: list[int]) -> bool:
 
 
 def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[str, _Variable]]:
-    """Yield the name and the header of every numeric matrix of a struct."""
+    """Yield the name and the header of every numeric matrix in a struct."""
     parts = _parts(body, order)
     length, names = (part for _, part in islice(parts, 3, _FIELDS))
     width = int(np.frombuffer(length, f"{order}i4")[0])

@@ -1,10 +1,10 @@
 """Reader of matrices in MATLAB and Octave code, ``.m``; the code is never executed.
 
-Known statements are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);``, in which the last two
-arguments are optional, and ``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and entries may be
-assigned to a variable first, as Sierra does: ``a = [1 1 5.0; 2 2 6.0];``, then
-``K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other statements are skipped; numbers must
-be literal.
+Three statements are recognised: ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);``, in which
+the last two arguments are optional, and ``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and
+entries may be assigned to a variable first, as in Sierra's output: ``a = [1 1 5.0; 2 2 6.0];``, then ``K =
+sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other statements are skipped; numbers must be
+literals.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _Place(NamedTuple):
 
 
 def _places(text: str) -> tuple[dict[str, _Place], set[str]]:
-    """Return a dict of matrix name to `_Place`, and the names of the tables used to build sparse matrices."""
+    """Return a dict from matrix name to `_Place`, and the names of the tables used to build sparse matrices."""
     places: dict[str, _Place] = {}
     tables: set[str] = set()
     at = 0
@@ -110,7 +110,7 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
 
 
 def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
-    """Return the numbers of rows and columns, literal or assigned to a variable; None if not given in this way."""
+    """Return the numbers of rows and columns, literal or assigned to a variable; None if given otherwise."""
     found = []
     for word in words or ():
         number = re.fullmatch(r"\d{1,9}", word) or re.search(rf"(?<![\w.]){word}\s*=\s*(\d{{1,9}})\s*[;,\n]", text)
@@ -121,7 +121,7 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
 
 
 def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
-    """Return the two-dimensional array of numbers up to the closing bracket, and the next position."""
+    """Return the two-dimensional array of numbers up to the closing bracket, and the position after it."""
     end = text.find("]", at)
     if end < 0:
         raise ValueError(f"{name} is cut short")

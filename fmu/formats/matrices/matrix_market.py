@@ -35,7 +35,7 @@ _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return the matrix in a Matrix Market file, or in a text file that Abaqus wrote with the suffix ``.mtx``."""
+    """Return the matrix in a Matrix Market file, or in a text file with suffix ``.mtx`` written by Abaqus."""
     is_compressed = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_compressed else open(path, "rb") as file:
         start = file.read(LONGEST_LINE)
@@ -124,7 +124,7 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
 
 
 def _count_stored(rows: int, columns: int, sign: float) -> int:
-    """Return the number of values in the array layout, which has only the lower triangle of a symmetric matrix."""
+    """Return the number of values in the array layout, which stores one triangle of a symmetric matrix."""
     if not sign:
         return rows * columns
     if rows != columns:
@@ -161,7 +161,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 
 
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
-    """Return a full matrix from its values in column order; of a symmetric matrix, from its lower triangle."""
+    """Return a full matrix from its values in column order; for a symmetric matrix, from its lower triangle."""
     if not sign:
         return values.reshape((rows, columns), order="F")
     matrix = np.zeros((rows, columns))

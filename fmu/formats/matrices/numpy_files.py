@@ -27,7 +27,7 @@ from fmu.types import FloatArray
 
 
 def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return a dict of name to shape of the arrays in an ``.npz`` file, after checking their number and size.
+    """Return the shapes of the arrays in an ``.npz`` file by name, after checking their number and size.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def shape_in_header(file: IO[bytes]) -> tuple[int, ...]:
     RefusedError
         If the array is too large.
     ValueError
-        If the array has Python objects, which are not unpickled, or sizes that are not whole numbers.
+        If the array contains Python objects, which are not unpickled, or sizes that are not whole numbers.
     Exception
         Any error that NumPy raises on a broken header.
     """
@@ -97,7 +97,10 @@ def _npy(path: Path, variable: str | None) -> Labelled:
 
 
 def _csv(path: Path, variable: str | None) -> Labelled:
-    """Return a full matrix, or a table (n, 3) of row, column and entry; RefusedError if a full one is too long."""
+    """Return a full matrix, or a table (n, 3) of row, column and entry.
+
+    Raises RefusedError if it has too many rows.
+    """
     found: list[FloatArray] = []
     n = 0
     with open(path, "rb") as file:

@@ -3,25 +3,25 @@
 =====================  ===============================================================================
 ``.mtx``, ``.mtx.gz``  Matrix Market; or the text that Abaqus calls ``.mtx`` (`fmu.formats.matrices.abaqus`)
 ``.npz``, ``.npy``     `scipy.sparse.save_npz`, `numpy.savez`, `numpy.save`
-``.mat``, ``.m``       MATLAB, sparse or full; version 7.3 too, which is HDF5; text that is not executed
+``.mat``, ``.m``       MATLAB, sparse or full; also version 7.3, which is HDF5; code that is not executed
 ``.h5``, ``.hdf5``     HDF5: a dataset, or a group of a sparse matrix's arrays (`fmu.formats.matrices.hdf5`)
 ``.hb``, ``.rsa`` …    Harwell–Boeing, which Ansys writes with ``HBMAT`` (`fmu.formats.matrices.harwell_boeing`)
-``.csv``               numbers with commas between them
+``.csv``               numbers separated by commas
 ``.full``              Ansys, with names of the rows (`fmu.formats.matrices.ansys`)
 ``.op4``               Nastran, binary or text (`fmu.formats.matrices.nastran.op4`)
-``.pch``, ``.dmig``,   Nastran's DMIG entries, with names of the rows; in the bulk data, too, ``.bdf``,
+``.pch``, ``.dmig``,   Nastran's DMIG entries, with names of the rows; also in the bulk data, ``.bdf``,
 ``.bdf`` …             ``.dat`` or ``.nas`` (`fmu.formats.matrices.nastran.dmig`)
-``.sti``, ``.mas``     CalculiX, with names of the rows beside it in ``.dof`` (`fmu.formats.matrices.calculix`)
+``.sti``, ``.mas``     CalculiX, with names of the rows in ``.dof`` beside it (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
 An n × 3 array in any of these files is a sparse matrix: row, column (both counted from 1) and entry, as for
-MATLAB's ``spconvert``. Where only one triangle has entries, the other is filled in, and a note says so.
+MATLAB's ``spconvert``. If only one triangle has entries, the other is filled in, and a note says so.
 
-Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
-the process on broken files (``.mat``, ``.mtx``), fmu has its own readers. The library that reads Ansys files also
+Nothing is unpickled, and the size of a file's content is checked before it is read. fmu has its own readers where
+SciPy's readers crash the process on broken files (``.mat``, ``.mtx``). The library that reads Ansys files also
 crashes on broken files, so it runs in a separate process. pyNastran needs an older NumPy than this package.
 
-A stiffness linear in a property p, such as Young's modulus, needs two exports: with K at p = a and at p = b,
+A stiffness that is linear in a property p, such as Young's modulus, needs two exports. With K at p = a and p = b,
 K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) − a K₁.
 """
 
@@ -58,7 +58,7 @@ Triangle = bool | Literal["lower", "upper"]
 SYMMETRIC = 1e-9
 """Largest asymmetry of a pair of entries, relative to the larger of them and to √(a_ii a_jj)."""
 _CANCELLED = 1e-13
-"""Asymmetry that rounding alone causes where large numbers cancel, relative to the largest diagonal entry."""
+"""Asymmetry that rounding alone causes if large numbers cancel, relative to the largest diagonal entry."""
 _FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suffix in form.suffixes}
 ENTRIES_AT_A_TIME = 2**20
 
@@ -92,12 +92,12 @@ def read_labelled(
     ----------
     path : Path
     variable : str, optional
-        Name of the matrix in a file that can hold several; not needed if the file holds one matrix.
+        Name of the matrix in a file that can contain several; not needed if the file contains one matrix.
     triangle : bool or {"lower", "upper"}
-        Whether the file has only one entry of each symmetric pair, so that the other entry is filled in. The names
-        also require that all off-diagonal entries lie in that triangle.
+        Whether the file has only one entry of each symmetric pair, so that the other entry is filled in. "lower"
+        and "upper" also require that all off-diagonal entries are in that triangle.
     fill : bool
-        Whether a matrix with entries in one triangle only is treated as symmetric.
+        Whether a matrix with entries in only one triangle is treated as symmetric.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def read_labelled(
     Raises
     ------
     ValueError
-        If the file does not exist, is too large or of an unknown format, or holds no real, finite, square and
+        If the file does not exist, is too large or of an unknown format, or contains no real, finite, square and
         symmetric matrix. The message begins with ``variable:`` or ``triangle:`` if that argument is at fault.
     """
     suffix = _suffix(path)
@@ -150,7 +150,7 @@ def read_labelled(
 
 
 def symmetric_matrix(matrix: Matrix, triangle: Triangle = False) -> sp.csr_array:
-    """Return a symmetric real matrix as a csr_array of float; ValueError if it is not real and symmetric.
+    """Return a symmetric real matrix as a csr_array of float. Raise ValueError if it is not real and symmetric.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def _suffix(path: Path) -> str:
 
 
 def _is_triplets(matrix: Matrix) -> bool:
-    """Return True if an array is a table (n, 3) of the row, column and value of the entries of a sparse matrix."""
+    """Return True if an array is a table (n, 3) of the row, column and value of each entry of a sparse matrix."""
     if sp.issparse(matrix) or matrix.ndim != 2 or matrix.shape[1] != 3 or len(matrix) < 4:
         return False
     places = matrix[:, :2]
@@ -218,7 +218,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice if a matrix has entries in one triangle only; otherwise an empty string."""
+    """Return advice if a matrix has entries in only one triangle; otherwise an empty string."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""

@@ -1,6 +1,6 @@
-"""Readers of the nodes and elements of Ansys: archives from ``CDWRITE``, ``.cdb``, and results, ``.rst``.
+"""Readers of nodes and elements from Ansys: archives written by ``CDWRITE``, ``.cdb``, and results, ``.rst``.
 
-mapdl-archive and ansys-mapdl-reader read them in a separate process, since both libraries crash on broken files.
+mapdl-archive and ansys-mapdl-reader read them in a separate process, because both libraries crash on broken files.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _KINDS = {
     14: {5: "pyramid", 13: "pyramid13"},
     27: {13: "pyramid13"},
 }
-"""Kinds of elements, as meshio names them, by VTK's cell type and the number of nodes."""
+"""Element kinds by meshio's names, for each of VTK's cell types and number of nodes."""
 
 
 class _Grid(Protocol):
-    """A grid of PyVista."""
+    """The interface of a PyVista grid."""
 
     point_data: Mapping[str, AnyArray]
     points: AnyArray
@@ -48,14 +48,14 @@ class _Grid(Protocol):
 
 
 def cdb_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the grid of an archive as a dict of arrays; needs mapdl-archive."""
+    """Return the arrays of the grid in an archive by name; mapdl-archive must be installed."""
     from mapdl_archive import Archive
 
     return _arrays(Archive(str(path)).grid)
 
 
 def rst_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the grid of a result file as a dict of arrays; needs ansys-mapdl-reader."""
+    """Return the arrays of the grid in a result file by name; ansys-mapdl-reader must be installed."""
     from ansys.mapdl import reader
 
     return _arrays(reader.read_binary(str(path)).grid)
@@ -74,7 +74,7 @@ def _arrays(grid: _Grid) -> dict[str, AnyArray]:
 
 
 def node_axes(angles: FloatArray) -> FloatArray:
-    """Return the axes (rows) of a node rotated by THXY, THYZ, THZX of ``NROTAT``, degrees: about z, x', y''."""
+    """Return the axes (rows) of a node rotated by THXY, THYZ, THZX in degrees about z, x', y'' (``NROTAT``)."""
     (cz, cx, cy), (sz, sx, sy) = np.cos(np.radians(angles)), np.sin(np.radians(angles))
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])

@@ -24,7 +24,7 @@ class Assembled[Node](NamedTuple):
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node, direction)
-        Names of the rows; in ascending order if the nodes are numbers.
+        Names of the rows, in ascending order if the nodes are numbers.
     motions : mapping
         See `fmu.formats.models.exported.ExportedModel`.
     notes : list of str
@@ -45,18 +45,18 @@ def assemble(
     Parameters
     ----------
     read : sequence of Labelled
-        The matrices. A matrix with named rows may lack rows that are zero. A matrix without names gets the names
-        of the set of `mesh` that has the same number of rows.
+        The matrices. A matrix with named rows may lack rows that are zero. A matrix without names is given the
+        names of the set of `mesh` that has the same number of rows.
     n_stiffness : int
         Number of stiffness matrices, which come first.
     where : sequence of str
         The argument that gave each matrix, for messages.
     mesh : Mesh, optional
-        Its constraints are applied to matrices that have rows for dependent degrees of freedom; otherwise they
-        only give the motions of these; see `fmu.formats.models.constrained`.
-        If nodes of the mesh have their own axes, matrices are rotated to global axes where all three displacements
-        (or rotations) of a node have rows. Otherwise the rows keep their axes, and displacements (or rotations)
-        along global axes are weighted sums of degrees of freedom.
+        Its constraints are applied to matrices that have rows for dependent degrees of freedom. Otherwise they are
+        used only for the motions of these degrees of freedom; see `fmu.formats.models.constrained`. If nodes of
+        the mesh have their own axes, matrices are rotated to global axes where all three displacements (or
+        rotations) of a node have rows. Otherwise the rows keep their axes, and displacements (or rotations) along
+        global axes are weighted sums of degrees of freedom.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def notes_of(read: Sequence[Labelled]) -> list[str]:
 
 
 def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -> tuple[DofName, ...]:
-    """Return the names of the rows of a matrix, and add the assumption made and its set, if any, to `assumed`."""
+    """Return the names of the rows of a matrix; add any assumption made, with its set, to `assumed`."""
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
         raise ArgumentError(where, f"must name {n} degrees of freedom", len(one.dofs))
@@ -144,7 +144,7 @@ def _show_names(names: Sequence[DofName]) -> str:
 
 
 def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
-    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix at rows[i]; other entries are zero."""
+    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix moved to rows[i], zero elsewhere."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 
@@ -152,7 +152,7 @@ def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array
 def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
 ) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
-    """Return T of u = T u_global (None if no rotation), the weighted sums for rows that keep axes, and notes."""
+    """Return T of u = T u_global (None without rotation), weighted sums for rows that keep axes, and notes."""
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}
     motions: dict[DofName, dict[DofName, float]] = {}

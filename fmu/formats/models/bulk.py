@@ -1,10 +1,10 @@
 """Reader of nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
-Matrices are along the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: the rows
-of the g-set are the nodes in ascending order (MYSTRAN: in that of the deck) with six components each, and scalar
-points with one component. The smaller sets that this module knows are the n-set, the g-set without the components
-that constraints make dependent (`fmu.formats.constraints.nastran`); the f-set, the n-set without the components
-that GRID, SPC and SPC1 hold; and the a-set, if ASET entries define it.
+Matrices are along the axes of each node's output coordinate system, CD. OP4 files do not name their rows. The rows
+of the g-set are the nodes in ascending order (in MYSTRAN, in the order of the deck) with six components each, and
+scalar points with one component. This module knows three smaller sets. The n-set is the g-set without components
+that constraints make dependent (`fmu.formats.constraints.nastran`). The f-set is the n-set without components that
+GRID, SPC and SPC1 hold. The a-set is defined by ASET entries.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ _ELEMENTS: dict[str, tuple[int, tuple[tuple[str, int], ...]]] = {
     "CPENTA": (2, (("wedge15", 15), ("wedge", 6))),
     "CHEXA": (2, (("hexahedron20", 20), ("hexahedron", 8))),
 }
-"""The field of the first node, and the kind and number of nodes with all midside nodes and without."""
+"""For each element entry, the field of the first node, and the kind and number of nodes with and without midside
+nodes."""
 _ORDER = {"hexahedron20": _HEXAHEDRON, "wedge15": _WEDGE}
 _SET = ("ASET", "ASET1", "SPC", "SPC1")
 
@@ -105,7 +106,10 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
 
 
 def _is_ascending(sequence: str) -> bool:
-    """Return whether MYSTRAN has its rows by the ids of nodes, by PARAM,GRIDSEQ: "GRID", not "INPUT"."""
+    """Return True if MYSTRAN sorts its rows by node id (PARAM,GRIDSEQ,GRID), and False for INPUT.
+
+    Raises RefusedError for BANDIT.
+    """
     if sequence == "BANDIT":
         raise RefusedError(
             "must have PARAM,GRIDSEQ,INPUT or GRID (with BANDIT, MYSTRAN changes the order of rows)"
@@ -141,7 +145,7 @@ def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) 
 
 
 def _members(deck: _Deck, name: str, fields: list[str]) -> None:
-    """Add the components named in an entry to the kept components (ASET) or the held components of a set (SPC)."""
+    """Add the components in an entry to the retained components (ASET) or to those held by a set (SPC)."""
     skipped = 0 if name.startswith("ASET") else 1
     into = deck.held.setdefault(identity(fields[0], f"{name}: its set"), {}) if skipped else deck.kept
     if name.endswith("1"):
@@ -205,7 +209,7 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
 
 
 def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:
-    """Return the degrees of freedom that GRID (or GRDSET, `permanent`) and the SPC sets that act hold."""
+    """Return the degrees of freedom that GRID (or GRDSET, `permanent`) and the active SPC sets hold."""
     held = {node: deck.permanent.get(node, permanent) for node in deck.grids}
     for one in deck.constraints.sets("SPC", sorted(deck.held)):
         for node, which in deck.held.get(one, {}).items():

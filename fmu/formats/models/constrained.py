@@ -1,7 +1,7 @@
-"""Matrices under the constraints of a mesh, and the motions of the dependent degrees of freedom.
+"""Matrices with the constraints of a mesh applied, and the motions of the dependent degrees of freedom.
 
-Some programs write K and M of all degrees of freedom, others Tᵀ K T and Tᵀ M T of the independent ones. The rows
-tell which: where a dependent degree of freedom has a row that is not zero, T is still to be applied.
+Some programs write K and M for all degrees of freedom, others Tᵀ K T and Tᵀ M T for the independent ones. The rows
+show which: if a dependent degree of freedom has a nonzero row, T has yet to be applied.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TRIPLES = (DIRECTIONS[:3], DIRECTIONS[3:])
 
 
 class Constrained(NamedTuple):
-    """Matrices of the degrees of freedom that no constraint of the mesh makes dependent.
+    """Matrices on the degrees of freedom that no constraint of the mesh makes dependent.
 
     Attributes
     ----------
@@ -50,11 +50,12 @@ def constrain(
     matrices : sequence of csr_array, shape (n_dof, n_dof)
     dofs : sequence of (node id, direction)
     mesh : Mesh
-        With the constraints, and the supports that are not yet in matrices of all degrees of freedom.
+        Contains the constraints, and the supports, which matrices on all degrees of freedom do not include yet.
     means : mapping
         Motions that are weighted sums of rows, in which constraints may be expressed; see `Motions`.
     is_whole : bool
-        Whether the rows are known to be all of the mesh, so that neither constraints nor supports are in them.
+        Whether the rows are known to include all degrees of freedom of the mesh, so that neither constraints nor
+        supports have been applied.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def _of_supports(count: int) -> str:
 
 
 def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofName]) -> None:
-    """Raise RefusedError if constraints make matrices with too many entries."""
+    """Raise RefusedError if the constraints lead to matrices with too many entries."""
     counts = dict(zip(T.dofs, np.diff(T.T.indptr).tolist(), strict=True))
     largest: dict[str, int] = {}
     for one in equations:
@@ -120,11 +121,11 @@ def motions_of(
     ----------
     T : Transformation
     dofs : sequence of (node id, direction)
-        Rows of the final matrices; the other columns of T have none.
+        Rows of the final matrices; the other columns of T have no row.
     turn : csr_array, shape (n_dof, n_dof), optional
         u = turn u_final, where the rows of nodes were rotated to global axes.
     axes : mapping of int to ndarray, shape (3, 3)
-        Axes of the nodes' own degrees of freedom, unit vectors in rows.
+        Unit vectors (rows) in the directions of each node's own degrees of freedom.
     """
     index = {name: i for i, name in enumerate(dofs)}
     known = [(j, index[name]) for j, name in enumerate(T.independent) if name in index]

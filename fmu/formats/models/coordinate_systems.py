@@ -1,8 +1,9 @@
 """Coordinate systems of Nastran: positions and axes in rectangular, cylindrical and spherical systems.
 
-MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on z, the
-third in the plane of x and z. Cylindrical coordinates are r, θ and z; spherical coordinates are r, θ from z and φ
-about z; angles are in degrees. Where the direction of r or θ is undefined, the axes are those of θ = φ = 0.
+MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on the z
+axis, the third in the xz plane. Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from the z
+axis and φ about it. Angles are in degrees. Where the direction of r or θ is undefined, the axes are those at θ = φ
+= 0.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ class Systems:
         return np.asarray(tilted @ about_z @ own)
 
     def _from(self, system: int, coordinates: FloatArray, depth: int) -> FloatArray:
-        """Return the position in global coordinates, shape (3,), of a point given in a system."""
+        """Return the position in global coordinates, shape (3,), of a point with coordinates in a system."""
         if system == 0:
             return np.asarray(coordinates, dtype=float)
         origin, own = self._frame(system, depth + 1)

@@ -1,4 +1,4 @@
-"""Lines for drawing a mesh, from line elements and edges of faces; and the nodes inside solids."""
+"""Lines for drawing a mesh, from line elements and edges of faces, and the nodes inside solids."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.types import FloatArray, IntArray
 
 MOST_EDGES = 1000
-"""Number of edges above which only edges at a border, at an angle or between two boxes in space are drawn."""
+"""Number of edges above which only some are drawn: edges at a border, at an angle, or between two boxes in
+space."""
 _BOXES = (10, 5, 2, 1)
 """Numbers of boxes along the longest side of a mesh; the first to give at most 2 `MOST_EDGES` lines is used."""
 _ANGLE = np.cos(np.radians(30.0))
@@ -31,9 +32,9 @@ SOLID_EDGES = {
 
 
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
-    """Return the rows of `mesh.nodes` at both ends of each distinct line to draw, shape (n_lines, 2).
+    """Return the row indices in `mesh.nodes` of both ends of each distinct line to draw, shape (n_lines, 2).
 
-    Midside nodes are skipped. Of solids, only the surfaces are drawn.
+    Midside nodes are skipped. For solids, only the surfaces are drawn.
     """
     lines, faces = _lines_and_faces(mesh)
     drawn = [lines, _of_faces(faces, mesh.coordinates)]
@@ -41,7 +42,7 @@ def edges(mesh: Mesh | ExportedModel) -> IntArray:
 
 
 def inside(mesh: Mesh | ExportedModel) -> IntArray:
-    """Return the rows of `mesh.nodes` inside solids, where no sensor can be, in ascending order.
+    """Return the row indices in `mesh.nodes` of nodes inside solids, where no sensor can be, in ascending order.
 
     A midside node counts as on the surface if both ends of its edge are on the surface.
     """
@@ -60,7 +61,7 @@ def inside(mesh: Mesh | ExportedModel) -> IntArray:
 
 
 def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
-    """Return the node rows at the ends of line elements (n, 2), and at the corners of surface faces (m, 4)."""
+    """Return the row indices of the ends of line elements (n, 2), and of the corners of surface faces (m, 4)."""
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     lines: list[tuple[int, int]] = []
     skin: list[tuple[int, ...]] = []
@@ -79,13 +80,13 @@ def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
 
 
 def _outer(faces: IntArray) -> IntArray:
-    """Return the faces that belong to one solid only, shape (n, 4)."""
+    """Return the faces that belong to only one solid, shape (n, 4)."""
     _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return np.asarray(faces[first[counts == 1]])
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return all edges of faces (n, 2), or if there are many, the edges that show the shape; see `MOST_EDGES`."""
+    """Return all edges of faces (n, 2) or, if there are many, those that show the shape; see `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -32,15 +32,15 @@ class Mesh(NamedTuple):
     elements : tuple of tuple of int
         Ids of each element's nodes: corners in order, midside nodes may follow.
     kinds : tuple of str
-        meshio's names: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
+        Element kinds by meshio's names: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
     notes : tuple of str
         One sentence for each omission.
     axes : mapping of int to ndarray, shape (3, 3)
-        Unit vectors (rows) along which the degrees of freedom of a node are, if they are not along global axes.
+        Unit vectors (rows) in the directions of a node's degrees of freedom, if these are not along global axes.
     sets : mapping of str to tuple of (node, direction)
         Possible rows of matrices without names, by the program's name of the set, such as ``"g"``.
     order : tuple of int
-        Ids of the nodes in the order of the input, where matrices may have their rows in that order.
+        Ids of the nodes in the order of the input, for matrices whose rows may be in that order.
     equations : tuple of Equation
         Constraints between degrees of freedom, along the axes of each node.
     held : frozenset of (node, direction)
@@ -111,14 +111,15 @@ class ExportedModel:
     stiffness, mass : scipy.sparse.csr_array, shape (n_dof, n_dof)
         Symmetric, in the program's units; fmu assumes SI units.
     dofs : tuple of (node id, direction)
-        One per row; a direction is one of ``"x" "y" "z" "rx" "ry" "rz"``, global axes.
+        One per row; a direction is ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` or ``"rz"``, along global axes.
     nodes : ndarray of int, shape (n_nodes,)
         Ids of the mesh's nodes; empty if the mesh is not known.
     coordinates : ndarray, shape (n_nodes, 3)
     elements : tuple of tuple of int
         Ids of each element's nodes: corners in order, midside nodes may follow.
     kinds : tuple of str
-        meshio's names: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``, ``"hexahedron20"`` …
+        Element kinds by meshio's names: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``,
+        ``"hexahedron20"`` …
     notes : tuple of str
         One sentence for each omission or assumption.
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float
@@ -140,15 +141,15 @@ class ExportedModel:
 
 @dataclass(frozen=True)
 class MeshFormat:
-    """A format of files with nodes and elements.
+    """A file format for nodes and elements.
 
     Attributes
     ----------
     suffixes : tuple of str
         Suffixes of the file names, in lower case.
     read : callable
-        ``read(path)`` returns a `Mesh`. A broken file may raise anything; the text of a `RefusedError` is shown
-        unchanged.
+        ``read(path)`` returns a `Mesh`. A broken file may raise any exception; the text of a `RefusedError` is
+        shown unchanged.
     """
 
     suffixes: tuple[str, ...]

@@ -144,7 +144,7 @@ TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes
 
 
 def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
-    """Return the nodes of the face S1, S2 … of a solid element, midside nodes included; empty if it has none."""
+    """Return the nodes of face S1, S2 … of a solid element, midside nodes included; empty if it has none."""
     shape = kind.rstrip("0123456789")
     at = int(name[1:]) - 1 if re.fullmatch("S[1-6]", name) else 6
     if at >= len(_FACES_OF.get(shape, ())):

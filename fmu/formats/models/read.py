@@ -7,11 +7,11 @@ CalculiX        ``job.sti``, with ``job.mas`` and ``job.dof`` beside it      ``j
 Abaqus          ``job_STIF1.mtx`` and ``job_MASS1.mtx``                      ``job.inp``
 Ansys           ``file.full``                                                ``.cdb`` or ``.rst``
 Nastran         OP4, ``.op4``; DMIG in ``.pch`` or the bulk data             ``.bdf``, ``.dat``, ``.nas``
-MATLAB          K and M of ``.mat`` or ``.m``, or in two files
+MATLAB          K and M in a ``.mat`` or ``.m`` file, or in two files
 any other       two files of `fmu.formats.matrices.read`, names of rows
 ==============  ===========================================================  =======================
 
-A separate file with names of rows has lines ``node,direction`` with directions x, y, z, rx, ry, rz or 1 to 6.
+A separate file with names of rows has lines ``node,direction``, with a direction x, y, z, rx, ry, rz or 1 to 6.
 Units are those of the program; fmu assumes SI units.
 """
 
@@ -61,7 +61,7 @@ def read_model(
     path : path
         File with the stiffness, or with both matrices.
     mass : path, optional
-        File with the mass, if it is not in `path`. By default the file that the program writes beside the
+        File with the mass, if it is not in `path`. By default the file that the program writes next to the
         stiffness: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
     mesh : path or Mesh, optional
         Nodes and elements. Needed for Nastran's OP4, to name the rows, and for matrices along the nodes' own axes.
@@ -72,7 +72,8 @@ def read_model(
         the same ending, or ``stiffness`` and ``mass``.
     tied_modes : path, optional
         ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U). They give the
-        displacements of the nodes that ``*TIE`` leaves without rows, so that sensors can be there. Needs `mesh`.
+        displacements of the nodes that have no rows because of ``*TIE``, so that sensors can be there. Needs
+        `mesh`.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def read_ties(
     Raises
     ------
     ValueError
-        If there is no mesh, the file does not have modes, or it has no tied nodes.
+        If there is no mesh, the file has no modes, or it has no tied nodes.
     """
     if mesh is NO_MESH:
         raise ValueError("needs a mesh: the weights of tied nodes come from the elements' faces")
@@ -142,7 +143,8 @@ def read_mesh(path: str | Path) -> Mesh:
     Parameters
     ----------
     path : path
-        ``.inp`` of CalculiX and Abaqus, ``.cdb`` and ``.rst`` of Ansys, ``.bdf``, ``.dat``, ``.nas`` of Nastran.
+        ``.inp`` of CalculiX and Abaqus, ``.cdb`` and ``.rst`` of Ansys, or ``.bdf``, ``.dat``, ``.nas`` of
+        Nastran.
 
     Returns
     -------
@@ -179,7 +181,7 @@ def _mesh_of(path: Path) -> Mesh:
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
-    """Read the names of rows, one ``node,direction`` per line, commas or blanks between; a title line is skipped.
+    """Read the names of rows, one ``node,direction`` per line; blanks may replace commas; a title line is skipped.
 
     Raises
     ------
@@ -208,7 +210,7 @@ def read_names(path: Path) -> tuple[DofName, ...]:
 def require_nodes(
     dofs: Sequence[DofName], motions: Collection[DofName], mesh: Mesh, files: Collection[Path] = ()
 ) -> None:
-    """Raise ValueError if a mesh shares no node with the matrices, or has *TRANSFORM beside Abaqus matrices."""
+    """Raise ValueError if a mesh shares no node with the matrices, or has *TRANSFORM with Abaqus matrices."""
     if TRANSFORMED in mesh.notes and any(file.suffix.lower() == ".mtx" for file in files):
         raise ArgumentError("mesh", "must have no *TRANSFORM: Abaqus writes matrices along the axes that it turns")
     known = set(mesh.nodes.tolist())
@@ -220,7 +222,7 @@ def require_nodes(
 
 
 def _both(path: Path) -> tuple[str, str]:
-    """Return the names of the stiffness and mass matrices in a file that holds several matrices."""
+    """Return the names of the stiffness and mass matrices in a file that contains several matrices."""
     try:
         read_labelled(path)
     except ValueError as error:
@@ -240,7 +242,7 @@ def _both(path: Path) -> tuple[str, str]:
 
 
 def read_beside(path: Path) -> list[Path]:
-    """Return the list of files that are read together with a file, but not named in the problem file.
+    """Return the files that are read together with a file without being named in the problem file.
 
     These are the mass and the names of the rows, or the files that a Nastran deck includes.
     """
@@ -255,7 +257,7 @@ def read_beside(path: Path) -> list[Path]:
 
 
 def _is_pair(K: str, M: str) -> bool:
-    """Return True if two names are a stiffness and its mass: ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``."""
+    """Return True if two names are a stiffness and its mass, such as ``K`` and ``M`` or ``s.Kaa``, ``s.Maa``."""
     rest = [re.split(r"[./]", name) for name in (K, M)]
     if rest[0][:-1] != rest[1][:-1]:
         return False
@@ -266,7 +268,7 @@ def _is_pair(K: str, M: str) -> bool:
 
 
 def _mass_beside(path: Path) -> Path | None:
-    """Return the file of the mass that a program writes beside the stiffness file; None if one file has both."""
+    """Return the mass file that a program writes next to the stiffness file; None if one file contains both."""
     if path.suffix.lower() == ".sti":
         return path.with_suffix(".mas")
     if path.suffix.lower() == ".mtx" and "_STIF" in path.name:
@@ -283,7 +285,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Return the result of `read`; its ValueError is raised again as an error of the argument."""
+    """Return the result of `read`; re-raise its ValueError as an error of the argument."""
     try:
         return read()
     except ValueError as error:

@@ -1,8 +1,8 @@
 """Displacements of nodes that CalculiX ties to an element face (``*TIE``), which have no rows in its matrices.
 
-CalculiX does not write the tie equations, but prints the modes at tied nodes too. A node that moves but has no row
-is projected onto the nearest faces; the shape functions at the projection are the weights of the face's nodes if
-they reproduce the printed displacements.
+CalculiX does not write the tie equations, but it also prints the modes at tied nodes. A node that moves but has no
+row is projected onto the nearest faces. The shape functions at the projection are the weights of the face's nodes,
+if they reproduce the printed displacements.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STEPS = 30
 
 
 class _Face(NamedTuple):
-    """An element face: the mesh rows of its corners and of its midside nodes, if any, in the same order."""
+    """An element face: the mesh row indices of its corners and of its midside nodes, if any, in the same order."""
 
     corners: list[int]
     midsides: list[int]
@@ -60,7 +60,7 @@ def tied_motions(
     Raises
     ------
     ValueError
-        If there is no printed node that moves and has no rows.
+        If no printed node moves without having rows.
     """
     with_rows = {node for node, _ in dofs}
     row_of = {node: i for i, node in enumerate(mesh.nodes.tolist())}
@@ -115,7 +115,7 @@ def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def _weights(
     node: int, row: int, faces: list[_Face], mesh: Mesh, modes: Mapping[int, FloatArray], largest: FloatArray
 ) -> dict[int, float] | None:
-    """Return node weights of the nearest face that reproduces a node's printed displacements; None without one."""
+    """Return the node weights of the nearest face that reproduces a node's printed displacements, or None."""
     found: list[tuple[float, dict[int, float]]] = []
     for face in faces:
         ids = mesh.nodes[face.rows].tolist()
@@ -130,7 +130,7 @@ def _weights(
 
 
 def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> FloatArray:
-    """Return the shape functions (n,) of a face at its point closest to `point` (3,), by Gauss–Newton steps."""
+    """Return the shape functions (n,) at the point of a face closest to `point` (3,), by Gauss–Newton steps."""
     at = np.full(2, 1.0 / 3.0) if n_corners == 3 else np.zeros(2)
     for _ in range(_STEPS):
         N, dN = _shape_functions(at, len(corners), n_corners)
@@ -153,7 +153,7 @@ def _inside(at: FloatArray, n_corners: int) -> FloatArray:
 def _shape_functions(at: FloatArray, n: int, n_corners: int) -> tuple[FloatArray, FloatArray]:
     """Return shape functions (n,) and their derivatives (2, n) of a face of 3, 4, 6 or 8 nodes.
 
-    Corners come first, then midside nodes; the serendipity functions of Zienkiewicz & Taylor, chapter 8.
+    Corners come first, then midside nodes; the serendipity functions are from Zienkiewicz & Taylor, chapter 8.
     """
     r, s = at
     if n_corners == 3:

@@ -1,4 +1,4 @@
-"""Readers of modes: measured modes from CSV, UFF and pyOMA, computed modes from Nastran's F06 and CalculiX.
+"""Readers of modes: measured modes from CSV, UFF and pyOMA, computed modes from Nastran's F06 and from CalculiX.
 
 Reading order: measured_modes; then one file per format.
 """
@@ -12,4 +12,4 @@ READERS: dict[str, ModesFormat] = {
     "f06": f06.FORMAT,
     "calculix": calculix.FORMAT,
 }
-"""Formats by their key in ``[measurement]``, which is also the ``reader`` of ``[model] type = "command"``."""
+"""Formats by their key in ``[measurement]``, which is also the ``reader`` in ``[model] type = "command"``."""

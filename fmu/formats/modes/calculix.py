@@ -23,7 +23,7 @@ from fmu.formats.shown import quote
 
 
 def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
-    """Return the modes that CalculiX printed at sensors, of another model or of a simulated test.
+    """Return the modes that CalculiX printed at sensors, from another model or a simulated test.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
     sensors : sequence of (place, direction)
         Node ids, and directions x, y or z, which may have a minus sign.
     modes : sequence of int, optional
-        Numbers of the modes to take; by default all.
+        Numbers of the modes to use; all by default.
 
     Raises
     ------
@@ -58,14 +58,14 @@ def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = No
     Parameters
     ----------
     path : Path
-        ``job.dat``. Of several steps, the last is read.
+        ``job.dat``. If there are several steps, the last one is read.
     sensors : sequence of (node id, direction)
         Directions are x, y and z, or -x, -y and -z. Without sensors there are no shapes.
 
     Raises
     ------
     ValueError
-        If the file does not exist, has no eigenvalues, lacks a sensor in a mode, or a word is not a number.
+        If the file does not exist, has no eigenvalues or lacks a sensor in a mode, or if a word is not a number.
     """
     frequencies = read_frequencies(path)
     if not sensors:

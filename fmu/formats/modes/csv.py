@@ -1,4 +1,4 @@
-"""Readers of modes and points from text tables, as spreadsheets write them.
+"""Readers of modes and points from text tables, as written by spreadsheets.
 
 Frequencies in Hz, one row per mode; ``number`` (in the spectrum of the model), ``sd`` in Hz and ``use`` (true or
 false: whether the mode is used in updating) may be omitted::
@@ -14,14 +14,15 @@ Shapes, one row per sensor and one column per mode::
     12,-z,0.34,-0.71
 
 Frequencies in Hz of repeated tests in chronological order, one row per test and one column per mode. The column
-``test``, a number or a time, may be omitted. A cell is empty or ``nan`` where a test missed the mode::
+``test``, a number or a time, may be omitted. A cell is empty or ``nan`` if the test missed the mode::
 
     test,first bending,second bending
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
 Frequencies in Hz of the tests of a campaign, one row per test: its name, its group (may be omitted), and one
-column per mode and per covariate, such as the temperature. A cell is empty or ``nan`` where a test missed a mode::
+column per mode and per covariate, such as the temperature. A cell is empty or ``nan`` if the test missed the
+mode::
 
     name,group,temperature,first bending,second bending
     2024-03-04,before,4.5,31.9,197.9
@@ -61,25 +62,25 @@ _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
 class Row(NamedTuple):
-    """A row of a table: the number of its line in the file, counted from 1, and its values by column."""
+    """A row of a table: its line number in the file, counted from 1, and its values by column."""
 
     line: int
     values: dict[str, str]
 
 
 class Campaign(NamedTuple):
-    """The tests in a table of a campaign.
+    """The tests in the table of a campaign.
 
     Attributes
     ----------
     names, groups : tuple of str
-        For each test, its name and its group. A group is empty if the table has no column of groups.
+        The name and the group of each test. A group is empty if the table has no column of groups.
     covariates : tuple of dict of str to float
-        For each test, the values of the covariates.
+        The values of the covariates in each test.
     frequencies_hz : ndarray, shape (n_tests, n_modes)
         NaN where a test missed a mode.
     lines : tuple of int
-        For each test, the number of its line in the file, from 1.
+        The line number of each test in the file, counted from 1.
     """
 
     names: tuple[str, ...]
@@ -157,7 +158,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
 
 
 def read_points(path: Path) -> dict[str, FloatArray]:
-    """Return a dict of point name to coordinates, shape (3,), from a table of points.
+    """Return a dict from point name to coordinates, shape (3,), from a table of points.
 
     Raises
     ------
@@ -206,7 +207,7 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str] | None = None) -> Campaign:
-    """Return the tests in a table of a campaign.
+    """Return the tests in the table of a campaign.
 
     Parameters
     ----------
@@ -258,7 +259,7 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
 
 
 def _frequencies(rows: Sequence[Row], labels: Sequence[str], found: list[str]) -> FloatArray:
-    """Return the frequencies in the columns `labels`, NaN where a cell says that the mode was missed."""
+    """Return the frequencies in the columns `labels`, NaN for modes that were missed."""
     values = [
         [
             np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
@@ -277,7 +278,7 @@ def read_table(path: Path, most_rows: int = MOST_ROWS) -> tuple[list[str], list[
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file is no table, or has more than `most_rows` rows; the message lists every error with its line.
+        If the file is not a table, or has more than `most_rows` rows; the message lists every error with its line.
     """
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")
@@ -323,7 +324,7 @@ def refuse(path: Path, found: list[str]) -> None:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Return the list of values in a line; ValueError if the line is malformed."""
+    """Return the list of values in a line. Raise ValueError if the line is malformed."""
     if line.count(separator) > MOST_MODES + 1:
         raise ValueError(f"must have at most {MOST_MODES + 2} columns (got {line.count(separator) + 1})")
     try:
@@ -338,7 +339,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _number(row: Row, column: str, found: list[str], *, positive: bool = False, advice: str = "") -> float:
-    """Return the number in a column of a row; if it is invalid, add an error to `found` and return NaN."""
+    """Return the number in a column of a row; if it is invalid, append an error to `found` and return NaN."""
     text = row.values[column]
     try:
         value = float(text)

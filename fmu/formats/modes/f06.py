@@ -1,4 +1,4 @@
-"""Reader of real eigenvectors printed by Nastran and MYSTRAN, ``.f06``, of another model or a simulated test.
+"""Reader of real eigenvectors printed by Nastran and MYSTRAN, ``.f06``, from another model or a simulated test.
 
 OP2 files are not read. The components printed by Nastran are along the axes of each node's output coordinate
 system, which the bulk data define.
@@ -58,9 +58,9 @@ def read_f06(
     sensors : sequence of (place, direction)
         Node ids, and directions, which may have a minus sign.
     deck : Path, optional
-        The bulk data, needed if nodes have output coordinate systems of their own (CD).
+        The bulk data, needed if nodes have their own output coordinate systems (CD).
     modes : sequence of int, optional
-        Numbers of the modes to take; by default all.
+        Numbers of the modes to use; all by default.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def _number(word: str) -> float:
 def _at(
     shape: dict[int, FloatArray], sensor: tuple[object, str], axes: Mapping[int, FloatArray], name: str
 ) -> float:
-    """Return the component of a shape at the place and in the direction of a sensor."""
+    """Return the component of a shape at the location and in the direction of a sensor."""
     place, direction = sensor
     sign, along = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
     node = int(str(place)) if str(place).isdecimal() else -1

@@ -1,4 +1,4 @@
-"""Measured modes, the interface of a format of modes, and the conversion of complex mode shapes to real shapes."""
+"""Measured modes, the interface of a mode format, and the conversion of complex mode shapes to real shapes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def is_node(place: Hashable) -> bool:
 
 
 class ModesError(ValueError):
-    """The error for a file or result from which no modes or frequency response functions can be read.
+    """Raised if no modes or frequency response functions can be read from a file or result.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ Computed = tuple[FloatArray, FloatArray | None]
 
 @dataclass(frozen=True)
 class ModesFormat:
-    """A format of files with modes.
+    """A file format for modes.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class ModesFormat:
         ``computed(path, sensors, deck)`` returns all modes that a program wrote; see `Computed`; `deck` is the
         program's input file.
     directions : tuple of str
-        Directions of sensors that such a file can have.
+        Directions of sensors that are possible in such a file.
     has_numbers : bool
         Whether places of sensors must be node ids.
     """
@@ -119,7 +119,7 @@ class ModesFormat:
 def modes_chosen(
     name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
 ) -> MeasuredModes:
-    """Return the computed modes with the numbers in `modes`; by default all modes.
+    """Return the computed modes with the numbers in `modes`; all modes by default.
 
     Raises
     ------
@@ -142,8 +142,9 @@ def modes_chosen(
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 
-    The value is 1 for a real shape in any phase, 0 for components evenly distributed over all phases (Pappa,
-    Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: the eigenvalue ratio, expanded).
+    The value is 1 for a real shape of any phase, and 0 if the components are evenly distributed over all phases
+    (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: the eigenvalue ratio,
+    expanded).
     """
     phi = np.asarray(shapes, dtype=complex)
     length = np.sum(np.abs(phi) ** 2, axis=0)
@@ -151,15 +152,15 @@ def phase_collinearity(shapes: ArrayLike) -> FloatArray:
 
 
 def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatArray, FloatArray]:
-    """Return the real parts of complex shapes, rotated to their largest real part, and their phase collinearity.
+    """Return complex shapes rotated to their largest real parts, as real shapes, and their phase collinearity.
 
     Parameters
     ----------
     shapes : array_like of complex, shape (n_sensors, n_modes)
     least_mpc : float
-        Smallest phase collinearity that is accepted: an undamped model has only real shapes, and a measured shape
-        with a lower value is likely a mixture of two close modes, or due to local damping or noise. 0 accepts all
-        shapes.
+        Smallest phase collinearity that is accepted. An undamped model has only real shapes, and a measured shape
+        with a lower value is probably a mixture of two close modes, or due to local damping or noise. 0 accepts
+        all shapes.
 
     Returns
     -------
@@ -191,7 +192,7 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
 def checked_file(path: Path, most: int | None = None) -> Path:
     """Return the path of a file, after checking that the file can be read and has at most `most` bytes.
 
-    `most` is `LARGEST_FILE` if it is not given.
+    `most` defaults to `LARGEST_FILE`.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 """Reader of modes that pyOMA_2 identified from ambient vibrations.
 
-pyOMA_2 is not needed to read its results: they are recognised by their attributes, ``Fn`` (n_modes,), Hz;
-``Phi`` (n_channels, n_modes), complex; and, of subspace identification run with ``calc_unc=True``, ``Fn_std``
-(n_modes,), Hz, and ``Phi_std`` (n_channels, n_modes): standard deviations estimated from the scatter between parts
-of the record (Döhler & Mevel 2013, Mechanical Systems and Signal Processing 38, 346), which the documentation
-of pyOMA_2 1.4 calls "covariance".
+pyOMA_2 is not needed to read its results, which are recognised by their attributes: ``Fn`` (n_modes,) in Hz and
+``Phi`` (n_channels, n_modes), complex. Subspace identification with ``calc_unc=True`` adds ``Fn_std`` (n_modes,)
+in Hz and ``Phi_std`` (n_channels, n_modes): standard deviations estimated from the scatter between parts of the
+record (Döhler & Mevel 2013, Mechanical Systems and Signal Processing 38, 346), which the documentation of pyOMA_2
+1.4 calls "covariance".
 
 ``Phi_std`` is conservative: in pyOMA_2 1.4.3 it includes the error of a shape's scale, which is common to all
 components and does not affect a comparison of shapes. For 24 simulated records of the frame in
@@ -49,16 +49,16 @@ def pyoma_modes(
     modes: Sequence[int] | None = None,
     least_mpc: float = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes of a pyOMA_2 result.
+    """Return the modes in a pyOMA_2 result.
 
     Parameters
     ----------
     result : object
         ``setup["name"].result`` after ``mpe``, an object with the same attributes, or a mapping with their names.
     sensors : sequence of (place, direction)
-        Sensor of each channel, in order; a minus before the direction reverses the sign of a channel.
+        Sensor of each channel, in order; a minus sign before the direction reverses the sign of a channel.
     modes : sequence of int, optional
-        Numbers of the modes in the result, from 1; all if not given.
+        Numbers of the modes in the result, counted from 1; all if not given.
     least_mpc : float
         Smallest phase collinearity of complex shapes; see `fmu.formats.modes.measured_modes.real_shapes`.
 
@@ -71,7 +71,7 @@ def pyoma_modes(
     Notes
     -----
     If several setups were merged after the identification, ``Fn_std`` is the scatter between setups and not the
-    uncertainty of their mean: ``Fn_std`` and ``Phi_std`` are ignored.
+    uncertainty of their mean. ``Fn_std`` and ``Phi_std`` are then ignored.
     """
     source = type(result).__name__
     given = _parts(result)
@@ -125,10 +125,10 @@ def pyoma_modes(
 
 
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
-    """Return standard deviations of shapes of unit length (n_sensors, n_modes); None for one sensor.
+    """Return standard deviations of shapes of unit length (n_sensors, n_modes); None if there is only one sensor.
 
     The component that scales a shape has no standard deviation. It is given `FIXED` times the smallest standard
-    deviation of the other components, so that no variance of a ratio changes by more than `FIXED`² of itself.
+    deviation of the other components, which changes the variance of any ratio by at most a fraction `FIXED`².
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")
@@ -148,7 +148,7 @@ def read_pyoma(
     modes: Sequence[ModeNumber] | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes of a pyOMA_2 result that `save_pyoma` wrote; its channels are the ``sensors``.
+    """Return the modes in a pyOMA_2 result that `save_pyoma` wrote; its channels are the ``sensors``.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def save_pyoma(path: Path, result: object) -> None:
 
 
 def load_pyoma(path: Path) -> dict[str, AnyArray]:
-    """Return the dict of arrays that `save_pyoma` wrote; nothing is unpickled.
+    """Return the arrays that `save_pyoma` wrote, by name; nothing is unpickled.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
 
 
 def _parts(result: object) -> dict[str, ArrayLike | None]:
-    """Return a dict of the attributes of a result that are used; None for a missing or meaningless attribute."""
+    """Return the attributes of a result that are used, by name; None for a missing or meaningless attribute."""
     given = {name: _attribute(result, name) for name in _KEPT}
     if _attribute(result, "setups_used") is not None:
         given["Fn_std"] = given["Phi_std"] = None
@@ -223,7 +223,7 @@ def _attribute(result: object, name: str) -> ArrayLike | None:
 
 
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Return all modes of a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Return all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_pyoma(path, sensors=sensors)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 

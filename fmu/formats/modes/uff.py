@@ -4,10 +4,10 @@ Shapes are in dataset 55, "Data at Nodes"; coordinates of nodes in dataset 15 or
 
 The format is that of the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
 Formats for Modal Analysis Testing*). Its numbers have six significant digits, so frequencies and shapes are
-rounded to that when they are written.
+rounded to six digits when they are written.
 
-pyuff accepts any number of values, whatever a header announces, and does not say why it cannot read a dataset:
-`datasets` checks the data that pyuff returns.
+pyuff accepts any number of values, whatever a header announces, and does not say why it cannot read a dataset.
+`datasets` therefore checks the data that pyuff returns.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def read_uff(
     sensors: Sensors | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes of a universal file.
+    """Return the modes in a universal file.
 
     Parameters
     ----------
@@ -73,12 +73,12 @@ def read_uff(
         The place in the model of each node of the file; other nodes are skipped. By default the place of a node is
         its number.
     modes : sequence of int, optional
-        Numbers of the modes to take from the file, in this order; by default all, in the order of the file.
+        Numbers of the modes to use from the file, in this order; by default all, in the order of the file.
     sensors : sequence of (place, direction), optional
-        Places and measured directions, which may have a minus sign. By default, all with a nonzero component in at
-        least one mode of the file: the format fills directions that were not measured with zeros.
+        Places and measured directions, which may have a minus sign. The default is every place and direction with
+        a nonzero component in at least one mode: the format fills directions that were not measured with zeros.
     least_mpc : float
-        Smallest phase collinearity of complex shapes, which are converted to real shapes: see
+        Smallest phase collinearity of complex shapes, which are converted to real shapes; see
         `fmu.formats.modes.measured_modes.real_shapes`.
 
     Returns
@@ -94,7 +94,7 @@ def read_uff(
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file cannot be read, or has no such modes, nodes or sensors.
+        If the file cannot be read, or does not have the given modes, nodes or sensors.
     """
     mode_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
@@ -149,11 +149,11 @@ def write_uff(
     numbers : sequence of int
         Numbers of the modes.
     nodes : mapping of node number to place, optional
-        As in `read_uff`; needed where a place is not a number.
+        As in `read_uff`; needed if a place is not a number.
     places : mapping of place to array_like, shape (3,), optional
-        Coordinates in m: dataset 2411.
+        Coordinates in m, written as dataset 2411.
     elements : sequence of (CellType, node numbers of its corners), optional
-        Dataset 2412; see `fmu.formats.modes.vtu.cells`.
+        Written as dataset 2412; see `fmu.formats.modes.vtu.cells`.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def _mesh(
     elements: Sequence[tuple[CellType, tuple[int, ...]]],
     number_of: Mapping[Hashable, int],
 ) -> list[_Written]:
-    """Return the list of datasets of nodes and elements."""
+    """Return the datasets of nodes and elements."""
     sets: list[_Written] = []
     if places:
         x, y, z = np.array([np.asarray(place, dtype=float) for place in places.values()]).T
@@ -212,7 +212,7 @@ def _mesh(
 
 
 def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset]) -> dict[int, Place]:
-    """Return a dict of node number to place for the nodes that are used."""
+    """Return a dict from node number to place for the nodes that are used."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
         return {node: node for node in there}
@@ -224,7 +224,7 @@ def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset])
 
 
 def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
-    """Return a dict of (place, direction) to the complex component of a mode."""
+    """Return a dict from (place, direction) to the complex component of a mode."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
         for i, direction in enumerate(DIRECTIONS)
@@ -277,7 +277,7 @@ def datasets(path: Path) -> list[Dataset]:
 
 
 def read_uff_points(path: Path) -> dict[str, FloatArray]:
-    """Return a dict of node number, as text, to coordinates (3,) in datasets 15 and 2411, in the file's unit.
+    """Return a dict from node number, as text, to coordinates (3,) in datasets 15 and 2411, in the file's unit.
 
     Raises
     ------
@@ -308,12 +308,12 @@ def _wrong_nodes(one: Dataset) -> list[str]:
 def read_datasets(
     path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]
 ) -> list[Dataset]:
-    """Return the list of datasets of some types, which contain `what`.
+    """Return the datasets of the given types, which contain `what`.
 
     Raises
     ------
     ImportError, ModesError
-        See `datasets`; also if `wrong` returns errors of a dataset.
+        See `datasets`; also if `wrong` returns errors for a dataset.
     """
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:
@@ -344,7 +344,7 @@ def read_datasets(
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return the list of errors in a dataset that pyuff read, since pyuff accepts any number of values."""
+    """Return the errors in a dataset read by pyuff, which accepts any number of values."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"
@@ -369,7 +369,7 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Return all modes of a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Return all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_uff(path, sensors=tuple(sensors) or None)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 
@@ -377,8 +377,8 @@ def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Com
 def write_test_geometry(points: FloatArray) -> str:
     """Return the points of a test as a universal file: nodes in dataset 15, a trace line through them in 82.
 
-    The points are numbered from 1. The text is written here, as the two datasets are short and pyuff need not be
-    installed.
+    The points are numbered from 1. The text is written without pyuff, which need not be installed, because the two
+    datasets are short.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Writer of mode shapes on a mesh as VTU files, unstructured grids of VTK in XML, for ParaView and PyVista.
 
-The format is that of *The VTK User's Guide*, "VTK File Formats". Arrays are binary, in base64.
+The format is described in *The VTK User's Guide*, "VTK File Formats". Arrays are binary, in base64.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CELLS = {
     "wedge": CellType(6, 13, 112),
     "hexahedron": CellType(8, 12, 115),
 }
-"""Element kinds by meshio's names; of elements such as ``"hexahedron20"``, only the corners are written."""
+"""Element kinds by meshio's names; for kinds such as ``"hexahedron20"``, only the corners are written."""
 _WEDGE = (0, 2, 1, 3, 5, 4)
 """VTK's order of the corners of a wedge, whose first triangle is seen from inside."""
 _TYPES = {"d": ("Float64", "<f8"), "f": ("Float32", "<f4"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}

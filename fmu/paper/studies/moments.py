@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
-    """Return a table with a row per parameter of `problem`, SI units: ``unit``, and ``*_mean`` and ``*_sd``.
+    """Return a table with a row per parameter of `problem`, SI units: ``unit``, ``*_mean`` and ``*_sd`` by run.
 
-    A trace may lack some of the parameters, which are then NaN in its columns.
+    Parameters that a trace lacks are NaN in its columns.
     """
     columns: dict[str, object] = {"unit": problem.units}
     for name, trace in traces.items():
@@ -30,7 +30,7 @@ def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.D
 
 
 def moments_table(parameters: pd.DataFrame, names: Mapping[str, str]) -> str:
-    """Return the table of `moments` in customary units for a page, with the `names` of the traces in words."""
+    """Return the table of `moments` for a page, in customary units, with the `names` of the traces in words."""
     rows = []
     for parameter, row in rows_of(parameters):
         unit = customary_unit(row["unit"])

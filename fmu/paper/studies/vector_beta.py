@@ -77,9 +77,9 @@ class VectorBeta:
 
     @property
     def outcome(self) -> str:
-        """Whether the vector β reduces the error of mode 1, in words.
+        """The verdict on whether the vector β reduces the error of mode 1.
 
-        The outcome is ``"confirmed"``, ``"not confirmed"`` or, unless both runs converged, ``"cannot be judged"``.
+        It is ``"confirmed"``, ``"not confirmed"`` or, unless both runs converged, ``"cannot be judged"``.
         """
         if not self.runs["converged"].all():
             return "cannot be judged"
@@ -88,7 +88,7 @@ class VectorBeta:
 
 
 def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) -> xr.DataTree:
-    """Repeat the long HMC run of an experiment with a weight for every mode, and return the trace.
+    """Repeat the long HMC run of an experiment with a separate weight for every mode, and return the trace.
 
     Settings and seed are those of the long run.
     """

@@ -1,6 +1,6 @@
-"""The experiments with a model that may be wrong: each mode predicted by the others, with and without scatter.
+"""The experiments with a model that may be wrong: each mode predicted from the others, with and without scatter.
 
-The paper's likelihood trusts the model. Here its parameters may scatter from mode to mode too
+The paper's likelihood assumes that the model is correct. Here its parameters may also scatter from mode to mode
 (`fmu.posterior.discrepancy.embedded`).
 """
 
@@ -57,7 +57,7 @@ class WrongModel:
         The name of the experiment, for example ``"young-shape"``.
     modes : DataFrame
         One row per measured mode: ``measured_hz``, and for each model (`WITHOUT`, `WITH`) the prediction of the
-        measurement by the other modes in Hz, ``*_mean``, ``*_sd``, ``*_eti90_lb`` and ``*_eti90_ub``, and
+        measurement from the other modes in Hz, ``*_mean``, ``*_sd``, ``*_eti90_lb`` and ``*_eti90_ub``, and
         ``*_off``, the distance of the measured frequency from its mean in standard deviations.
     parameters : DataFrame
         One row per parameter of the model with scatter, SI units: ``unit``, and the posterior mean and sd.
@@ -79,9 +79,9 @@ class WrongModel:
         problems: Mapping[str, UpdatingProblem],
         traces: Mapping[str, xr.DataTree],
     ) -> WrongModel:
-        """Return the comparison of the models `WITHOUT` and `WITH`; their modes are left out one by one.
+        """Return the comparison of the models `WITHOUT` and `WITH`, in which each mode is left out in turn.
 
-        With several tests, which have many modes, the draws are weighted instead of refits.
+        With several tests, which have many modes, the draws are reweighted instead of repeating the update.
         """
         known = {
             model: with_left_out(traces[model], problem, np.inf if len(problem.tests) == 1 else 0.0)
@@ -150,7 +150,7 @@ HOW_TO_READ = (
 
 
 def summary_table(studies: Sequence[WrongModel]) -> str:
-    """Return a table with a row per study: modes inside their intervals, errors, τ and evidences."""
+    """Return a table with a row per study: modes inside their intervals, errors, τ and gain in log-evidence."""
     rows = []
     for study in studies:
         every, tau = dict(rows_of(study.runs)), dict(rows_of(study.parameters))["tau"]
@@ -166,7 +166,7 @@ def summary_table(studies: Sequence[WrongModel]) -> str:
 
 
 def modes_table(study: WrongModel) -> str:
-    """Return a table of the measured modes and their predictions by the others, without and with scatter."""
+    """Return a table of the measured modes and their predictions from the others, without and with scatter."""
     rows = []
     for mode, row in rows_of(study.modes):
         cells = [mode, given(row["measured_hz"])]
@@ -178,7 +178,7 @@ def modes_table(study: WrongModel) -> str:
 
 
 def runs_sentence(study: WrongModel) -> str:
-    """Return a sentence on each run: whether it has converged, and what the data say of the model."""
+    """Return a sentence on each run: whether it has converged, and what the data say about the model."""
     said, runs = [], dict(rows_of(study.runs))
     for model, words in NAMES.items():
         run = runs[model]
@@ -188,7 +188,7 @@ def runs_sentence(study: WrongModel) -> str:
 
 
 def plot_wrong_model(studies: Sequence[WrongModel], figure: Figure | None = None) -> Figure:
-    """Draw each measured frequency with its predictions by the other modes, one panel per experiment."""
+    """Draw each measured frequency with its predictions from the other modes, one panel per experiment."""
     figure = figure or new_figure(7.6, 2.6 * ((len(studies) + 1) // 2) + 0.8)
     frames = figure.subplots((len(studies) + 1) // 2, 2, sharex=True, squeeze=False).ravel()
     looks = {WITHOUT: (GREY, "s"), WITH: (COLOURS[SAMPLER], "o")}

@@ -1,4 +1,4 @@
-"""Reader of the entries of Nastran bulk data: small, large and free fields, with continuations."""
+"""Reader of the entries in Nastran bulk data: small, large and free fields, with continuations."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ LARGEST_ID = 10**9
 
 
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the name and the fields of each entry, in upper case and without blanks around them.
+    """Yield the name and the fields of each entry, in upper case and without surrounding blanks.
 
-    A continuation must directly follow its entry. Lines before the bulk data are yielded too, as none begins with
-    the name of an entry that fmu reads.
+    A continuation must directly follow its entry. Lines before the bulk data are yielded too, because none begins
+    with the name of an entry that fmu reads.
 
     Raises
     ------
     RefusedError
-        If the deck has superelements, or an entry repeats fields of the one before (=) or is too long.
+        If the deck has superelements, or an entry is too long or repeats fields of the previous entry (=).
     """
     name, fields = "", list[str]()
     for line in lines:
@@ -63,7 +63,7 @@ def _fields(line: str) -> tuple[str, list[str]]:
 
 
 def whole(field: str, what: str, default: int | None = None) -> int:
-    """Return the whole number in a field, or the default if the field is empty; ValueError if it is not whole."""
+    """Return the whole number in a field, or the default if it is empty. Raise ValueError if it is not whole."""
     if not field and default is not None:
         return default
     if not re.fullmatch(r"[+-]?\d{1,10}", field):
@@ -72,7 +72,10 @@ def whole(field: str, what: str, default: int | None = None) -> int:
 
 
 def identity(field: str, what: str) -> int:
-    """Return the id of a node, element or coordinate system; ValueError if it is not from 1 to `LARGEST_ID`."""
+    """Return the id of a node, element or coordinate system.
+
+    Raises ValueError if it is not from 1 to `LARGEST_ID`.
+    """
     number = whole(field, what)
     if not 1 <= number <= LARGEST_ID:
         raise ValueError(f"{what} must be a number from 1 to {LARGEST_ID} (got {number})")
@@ -90,7 +93,7 @@ def number(field: str, what: str, default: float | None = None) -> float:
 
 
 def components(field: str, what: str) -> list[int]:
-    """Return the list of components 1 to 6 in a field such as ``123456``; [1] for 0 or empty (scalar point)."""
+    """Return the list of components 1 to 6 in a field such as ``123456``; [1] if it is 0 or empty (scalar)."""
     if field in ("", "0"):
         return [1]
     if not re.fullmatch("[1-6]{1,6}", field):

@@ -23,11 +23,11 @@ from fmu.formats.matrices.nastran.includes import deck_lines
 from fmu.types import DIRECTIONS
 
 SYMMETRIC = 6
-"""The form of a symmetric matrix, of which only one entry of each pair is given."""
+"""Code of a symmetric matrix, for which only one entry of each symmetric pair is given."""
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return a matrix whose rows are the nodes and components that its entries name, in ascending order."""
+    """Return a matrix whose rows are the nodes and components named in its entries, in ascending order."""
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0
@@ -68,7 +68,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _place(node: str, component: str, name: str) -> int:
-    """Return 8 × node + direction, the direction counted from 0: the key by which rows are sorted."""
+    """Return 8 × node + direction, with the direction counted from 0: the key by which rows are sorted."""
     directions = components(component, f"DMIG {name}: a component")
     if len(directions) != 1:
         raise ValueError(f"DMIG {name}: a component must be one of 0 to 6 (got {component})")

@@ -34,13 +34,13 @@ class _Count:
 
 
 def deck_lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a deck and of the files that it includes, in their order.
+    """Yield the lines of a deck and of the files that it includes, in order.
 
     Raises
     ------
     RefusedError
-        If an included file does not exist, lies outside the folder of the deck or includes itself, or
-        the files are too many or too large.
+        If an included file does not exist, lies outside the folder of the deck or includes itself, or the files
+        are too many or too large.
     ValueError
         If a file is not text.
     """
@@ -48,7 +48,7 @@ def deck_lines(path: Path) -> Iterator[str]:
 
 
 def included_files(path: Path) -> list[Path]:
-    """Return a list of the files that a deck includes, each once, as paths in its folder; see `deck_lines`."""
+    """Return the files that a deck includes, each once, as paths below its folder; see `deck_lines`."""
     folder, found = path.parent.resolve(), dict[Path, None]()
     for _ in _lines(path, folder, (path.resolve(),), _Count(), found):
         pass
@@ -83,7 +83,7 @@ def _lines(
 
 
 def _name(text: str, lines: Iterator[str]) -> str:
-    """Return the file name in an INCLUDE entry; in quotes it may continue over lines, joined without blanks."""
+    """Return the file name in an INCLUDE entry; a quoted name may continue over lines, joined without blanks."""
     mark = text[:1]
     if mark not in ("'", '"'):
         return text.partition("$")[0].strip()
@@ -97,7 +97,7 @@ def _name(text: str, lines: Iterator[str]) -> str:
 
 
 def _inside(name: str, folder: Path, beside: Path) -> Path:
-    """Return the path of an included file; RefusedError unless it is a file inside `folder`, links resolved."""
+    """Return the path of an included file. Raise RefusedError unless it is inside `folder` with links resolved."""
     name = name.replace("\\", "/")
     for base in (folder, beside):
         path = Path(os.path.normpath(base / name))

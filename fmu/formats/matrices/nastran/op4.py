@@ -1,13 +1,13 @@
 """Reader of Nastran OUTPUT4 matrices, ``.op4``: binary of either byte order, or text; full or sparse columns.
 
-MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files have no names of rows: see
-`fmu.formats.models.bulk`. The DMAP statements are::
+MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files do not name their rows: see `fmu.formats.models.bulk`.
+The DMAP statements are::
 
     ASSIGN OUTPUT4='model.op4',UNIT=31,FORM=BIG64
     OUTPUT4 KGG,MGG,,,//0/31///16
 
-MYSTRAN writes such files to ``job.OU1`` to ``job.OU7``, by ``OUTPUT4 KGG,MGG,,,//-1/21`` in the executive control.
-Its rows are in the order in which the deck defines the nodes, unless PARAM,GRIDSEQ says otherwise.
+MYSTRAN writes such files as ``job.OU1`` to ``job.OU7``, with ``OUTPUT4 KGG,MGG,,,//-1/21`` in the executive
+control. Its rows are in the order in which the deck defines the nodes, unless PARAM,GRIDSEQ says otherwise.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LARGEST = 2**34
 LARGEST_RECORD = 2**26
 """Largest size of a column, bytes."""
 SMALL_ROWS = 65535
-"""Largest number of rows of a sparse matrix without BIGMAT, in which two integers precede each string."""
+"""Largest number of rows of a sparse matrix without BIGMAT; with BIGMAT, two integers precede each string."""
 _OF_MYSTRAN = tuple(f".ou{unit}" for unit in range(1, 8))
 
 
@@ -67,7 +67,7 @@ class _Entries:
     def add(self, column: int, row: int, values: AnyArray) -> None:
         """Add consecutive values of a column from `row` on; column and row are counted from 1.
 
-        MYSTRAN writes full columns. Of a column that is mostly zero, only the runs of nonzeros are kept.
+        MYSTRAN writes full columns. If a column is mostly zero, only its runs of nonzeros are kept.
         """
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
@@ -85,7 +85,7 @@ class _Entries:
         self.strings.append((row, column, values))
 
     def matrix(self) -> sp.csr_array:
-        """Return the matrix as a csr_array; the entries are cleared."""
+        """Return the matrix as a csr_array, and clear the entries."""
         header = self.header
         rows_within(max(abs(header.rows), header.columns))
         counts = np.array([len(values) for *_, values in self.strings], dtype=np.int64)
@@ -125,7 +125,7 @@ def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tup
     file.seek(0)
 
     def record(wanted: bool = True, first: int = 0) -> bytes:
-        """Return the next record, or its first bytes only."""
+        """Return the next record: its first `first` bytes, or all of it if `wanted` is True."""
         size = _length(file.read(4))
         if file.tell() + size + 4 > end:
             raise ValueError("it is cut short")
@@ -200,8 +200,8 @@ _TITLE = re.compile(r"\s*(\d+)\s*(-?\d+)\s+(\d+)\s+(\d+)\s*([A-Za-z]\w*)\s*(?:1P
 def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
     """Yield the name of each matrix, with its entries if the name is `variable`, and None otherwise.
 
-    Lines with a decimal point hold values; the other lines give the column and row of the values that follow. The
-    word counts on these lines are ignored, since some programs write wrong counts.
+    Lines with a decimal point contain values; the other lines give the column and row of the values that follow.
+    The word counts on these lines are ignored, because some programs write wrong counts.
     """
     header, entries, width = None, None, 0
     column = row = 0
@@ -255,7 +255,7 @@ def _starts(line: str, width: int) -> range:
 
 
 def _whole_numbers(line: str) -> list[str]:
-    """Return the one to three whole numbers on a line as words; ValueError if the line has anything else."""
+    """Return the one to three whole numbers on a line as words. Raise ValueError if it contains anything else."""
     words = line.split()
     if all(re.fullmatch(r"-?\d{1,10}", word) for word in words) and 1 <= len(words) <= 3:
         return words
