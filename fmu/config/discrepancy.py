@@ -11,7 +11,7 @@ from fmu.posterior.discrepancy.embedded import Discrepancy
 
 
 class DiscrepancyTable(TomlTable):
-    """Error of the model itself: no parameters of a wrong model fit all modes."""
+    """Error of the model itself, since no parameter values make a wrong model fit all modes."""
 
     kind: Literal["embedded", "modes"]
     """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors whatever the

@@ -56,7 +56,7 @@ def build_error_models(
     known: Sequence[str],
     read_frfs: Callable[..., tuple[list[FRFErrors], list[ArgumentError]]] | None,
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
-    """Return the list of error models, and the list of mistakes in their tables.
+    """Return the list of error models, and the list of errors in their tables.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def build_error_models(
         Names of all noise tables in the order of the file; invalid tables have no entry in `noise`.
     read_frfs : callable or None
         Takes the number and the table of an ``[[error]]`` of frequency response functions, and the parameters by
-        key. Returns the error models of the functions, and the list of mistakes in the table. None if there is no
+        key. Returns the error models of the functions, and the list of errors in the table. None if there is no
         such table.
     """
     models: list[ErrorModel] = []
@@ -123,7 +123,7 @@ def _noises(table: Declared) -> dict[str, str]:
 
 
 def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
-    """Return a mistake for each ``sd`` that is given although the scatter of the tests determines it.
+    """Return an error for each ``sd`` that is given although the scatter of the tests determines it.
 
     One of the two would be ignored.
     """
@@ -141,7 +141,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
 def vanishing(
     noise: Mapping[str, Parameter], models: Sequence[ErrorModel], data: ModalData, n_parameters: int
 ) -> list[ArgumentError]:
-    """Return a mistake for each inferred standard deviation for which the posterior density may be unbounded.
+    """Return an error for each inferred standard deviation for which the posterior density may be unbounded.
 
     If all n errors with this standard deviation sd can be zero, the likelihood grows as sd^(−n) as sd → 0. This is
     possible if n is at most the number of parameters and no known standard deviation contributes to the errors.

@@ -1,4 +1,4 @@
-"""Mistakes in a problem file, reported together, each with its location, the rule and the value received."""
+"""Errors in a problem file, reported together, each with its location, the rule and the value received."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PATTERNS = {
 
 
 class BrokenError(Exception):
-    """Raised if a part of the problem cannot be built; `mistakes` is the tuple of mistakes found."""
+    """Raised if a part of the problem cannot be built; `mistakes` is the tuple of errors found."""
 
     def __init__(self, *mistakes: ArgumentError) -> None:
         self.mistakes = mistakes
@@ -39,10 +39,10 @@ class BrokenError(Exception):
 
 
 class Mistakes(list[ArgumentError]):
-    """A list of mistakes in a problem file that are reported together."""
+    """A list of errors in a problem file that are reported together."""
 
     def add(self, key: str, rule: str, value: object = "") -> None:
-        """Append a mistake at a key of the file: the rule that is broken, and the value received."""
+        """Append an error at a key of the file: the rule that is broken, and the value received."""
         self.append(ArgumentError(key, rule, value))
 
 
@@ -53,8 +53,8 @@ class ConfigurationError(ValueError):
     ----------
     source : str
         Name of the file.
-    mistakes : tuple of ArgumentError
-        All mistakes that were found in the file.
+    errors : tuple of ArgumentError
+        All errors that were found in the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[ArgumentError]) -> None:
@@ -108,7 +108,7 @@ def _as_rule(message: str) -> str:
 
 
 def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
-    """Return the error for the key that selects the kind of a table."""
+    """Return the error for a missing or invalid key that selects the kind of a table."""
     context = error["ctx"]
     where = f"{where}.{context['discriminator'].strip("'")}"
     if "tag" not in context:

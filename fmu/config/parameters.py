@@ -47,7 +47,7 @@ class Target(TomlTable):
     scaling: Literal["absolute", "factor"] = "absolute"
 
     def names_at(self, key: str, groups: Sequence[str] = ()) -> list[str]:
-        """Return the names at `key` ("groups", "masses" or "springs"); for ``"all"``, return all of `groups`."""
+        """Return the names under `key` ("groups", "masses" or "springs"); for ``"all"``, return all `groups`."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
 
@@ -300,7 +300,7 @@ class NoiseTable(Uncertain):
 def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
-    """Return a dict of the parameters by name, in the order of the file, and a list of mistakes in their tables.
+    """Return a dict of the parameters by name, in the order of the file, and a list of errors in their tables.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def build_parameters(
 
 
 def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return a mistake for each key that is allowed only with several tests."""
+    """Return an error for each key that is allowed only with several tests."""
     return [
         ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
@@ -342,7 +342,7 @@ class ModelTable(TomlTable):
         return []
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a mistake for each key of a parameter that is allowed only for frames."""
+        """Return an error for each key of a parameter that is allowed only for frames."""
         return [
             ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
             for i, table in enumerate(parameters)

@@ -66,7 +66,7 @@ class ExportTable(TomlTable):
     plate.inp."""
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
-        """Return a mistake for each template that cannot be filled with the parameters `names`."""
+        """Return an error for each template that cannot be filled with the parameters `names`."""
         found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):
@@ -162,7 +162,7 @@ class ProblemFile(TomlTable):
         Raises
         ------
         ConfigurationError
-            If the problem cannot be built; it lists the mistakes found.
+            If the problem cannot be built; it lists the errors found.
         """
         parameters, found = build_parameters("parameters", self.parameters)
         of_frfs, given = self._frfs, self._errors
@@ -255,7 +255,7 @@ class ProblemFile(TomlTable):
         return UpdatingProblem(built.model, data, given, name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the mistakes in the tables of measurements that can be found without the model."""
+        """Return the errors in the tables of measurements that can be found without the model."""
         if self.measurement is None and self.tests is None and self._frfs is not None:
             return of_several_tests(self.parameters)
         if (self.measurement is None) == (self.tests is None):

@@ -123,7 +123,7 @@ class TestTable(MeasurementTable):
         return ModesGiven(MeasuredModes(mean, tuple(self.labels)))
 
     def _read_campaign(self, folder: Path) -> Campaign:
-        """Return the tests in the file of the campaign. Raise BrokenError if there are mistakes in it."""
+        """Return the tests in the file of the campaign. Raise BrokenError if there are errors in it."""
         wrong: list[str] = []
         with reading("measurement.campaign"):
             try:
@@ -236,7 +236,7 @@ class PlacedTest(NamedTuple):
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None = None
 ) -> tuple[list[PlacedTest], list[ArgumentError]]:
-    """Return the list of tests, and the list of mistakes in their tables."""
+    """Return the list of tests, and the list of errors in their tables."""
     tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
@@ -261,7 +261,7 @@ def variations(
 def in_the_file(
     error: TestsError, tables: Sequence[ParameterTable], tests: Sequence[PlacedTest]
 ) -> list[ArgumentError]:
-    """Return the list of mistakes in inconsistent tests, with their locations in the file.
+    """Return the inconsistencies between tests as a list of errors, with their locations in the file.
 
     If several lines of a campaign break the same rule, the first of them is named.
     """

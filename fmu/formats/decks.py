@@ -103,7 +103,7 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
 
 
 def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of parameters as rounded in a filled deck, such as to the digits that ``{E1:8}`` holds.
+    """Return the values of parameters as rounded in a filled deck, for example by ``{E1:8}``.
 
     Raises
     ------

@@ -273,7 +273,7 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _errors(case: str) -> Iterator[Erratum]:
-    """Yield an erratum for each printed error that does not follow from its frequency, even with rounding."""
+    """Yield an erratum for each printed error that rounding cannot reconcile with its frequency."""
     experiment = EXPERIMENTS[case]
     for name, column in experiment.columns.items():
         for i in experiment.inconsistent_errors(name):

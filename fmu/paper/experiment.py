@@ -197,7 +197,7 @@ def starts_in_the_posterior(
 
 
 def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
-    """Return the reference from the converged runs of trusted samplers or, if there are none, from the maxima."""
+    """Return the reference posterior from converged trusted samplers or, if there are none, from the maxima."""
     good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
     if not good:
         return around_the_maxima(maxima)
@@ -220,7 +220,7 @@ def posterior_mean(trace: xr.DataTree) -> FloatArray:
 
 
 def parameter_table(result: Result) -> pd.DataFrame:
-    """Return a table of the published (Table 1 or 3) and our parameters, one row per parameter, SI units.
+    """Return a table of the published parameters (Table 1 or 3) and ours, one row per parameter, SI units.
 
     The columns are ``unit``; ``published_*``; ``maximum``, the highest maximum of the posterior; ``paper_*``, the
     posterior means of the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of the
@@ -243,7 +243,7 @@ def parameter_table(result: Result) -> pd.DataFrame:
 
 
 def frequency_table(result: Result) -> pd.DataFrame:
-    """Return a table of the published (Table 2 or 4) and our frequencies, one row per measured mode.
+    """Return a table of the published frequencies (Table 2 or 4) and ours, one row per measured mode.
 
     Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors |f − f_m|/f_m in %. The columns are
     ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters with this

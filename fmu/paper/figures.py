@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the sets of frequencies in the figure of a sampler: before updating, published and ours."""
+    """Return the sets of frequencies drawn for a sampler: before updating, published and ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:

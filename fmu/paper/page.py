@@ -211,7 +211,7 @@ JUDGED_BY = (
 
 
 def claims(findings: Findings) -> str:
-    """Return a table of the paper's statements on its samplers and our judgements of them."""
+    """Return a table of the paper's statements about its samplers, with our judgements."""
     rows = [(j.statement, j.criterion, j.outcome, j.evidence) for j in judge(findings)]
     return f"{JUDGED_BY}\n" + markdown_table(("the paper", "by", "this run", "figures"), rows, words=range(4))
 

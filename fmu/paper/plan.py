@@ -182,7 +182,10 @@ class Runs:
         *,
         jumps: bool | None = None,
     ) -> xr.DataTree:
-        """Perform a run, called `words` in the progress line, and return its trace; `jumps`: see `fmu.sample`."""
+        """Perform a run, shown as `words` in the progress line, and return its trace.
+
+        `jumps` has the same meaning as in `fmu.sample`.
+        """
         from fmu.sampling import sample
 
         with warnings.catch_warnings():

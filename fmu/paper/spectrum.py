@@ -62,7 +62,7 @@ def shares(names: StrArray) -> dict[str, float]:
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return, for each measured mode, the physical modes paired with it and the fraction of the box for each.
+    """Return, for each measured mode, the physical modes paired with it and each one's fraction of the box.
 
     The fraction is the part of the parameter box (the volume within the bounds) in which the physical mode is
     paired with the measured mode. It is estimated with a scrambled Sobol sequence.

@@ -78,7 +78,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 
 def check_page(found: Check) -> Page:
-    """Return the page with verdicts, structure, modes, prior prediction, identifiability and gradient."""
+    """Return the page of a check: verdicts, structure, modes, prior predictions, identifiability and gradient."""
     sections = [_model(found), _modes(found), *_sensors(found), *_responses(found), _prior(found)]
     if found.identifiability is not None:
         sections.append(_identifiability(found.identifiability))
@@ -183,7 +183,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return a list with the section on the agreement at the sensors; empty if no shapes were measured."""
+    """Return the section on the agreement of test and model at the sensors; empty if no shapes were measured."""
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -204,7 +204,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return a list with the section on measured frequency response functions; empty if there are none."""
+    """Return the section on measured frequency response functions, as a list; empty if there are none."""
     if found.frfs is None:
         return []
     table = found.frfs.table().reset_index()

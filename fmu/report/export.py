@@ -198,7 +198,7 @@ def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, st
 
 
 def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return the name, trace and diagnosis of the given sampler; `choose_run` selects one if it is None."""
+    """Return the name, trace and diagnosis of `sampler`; if it is None, `choose_run` selects the sampler."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
@@ -345,7 +345,10 @@ def write_matrices(
 
 
 def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, float], target: Path) -> set[str]:
-    """Write input decks from templates (`fmu.formats.decks`), and return the names of unused `values`."""
+    """Write input decks from templates, and return the names in `values` that no template uses.
+
+    `fmu.formats.decks` describes the templates.
+    """
     unused = set(values)
     for template in templates:
         text = read_deck(source / template)

@@ -163,7 +163,7 @@ def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return a dict of texts for each mode: its label, and its frequency before, after and measured."""
+    """Return a dict of texts for each mode: its label, and its frequencies (before, after, measured)."""
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []
     for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
@@ -174,7 +174,7 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
-    """Return a dict of displacements (mode, node, direction): before updating, posterior mean, and measured.
+    """Return a dict of displacements (mode, node, direction) before updating, at the posterior mean and measured.
 
     The measured shapes are expanded to all nodes; they are omitted for large meshes.
     """
@@ -205,7 +205,7 @@ def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
 
 
 def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
-    """Return azimuth and elevation of the view in rad, such that the motion of a straight structure is visible."""
+    """Return the azimuth and elevation of a view in rad that shows the motion of a straight structure."""
     wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
     moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))
     if wide.sum() == 1 and not wide[2]:

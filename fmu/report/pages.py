@@ -288,7 +288,7 @@ def prose(text: str) -> Markup:
 
 @cache
 def _script() -> tuple[Markup, str]:
-    """Return the script of all pages, and its hash, by which browsers allow this script only."""
+    """Return the script of all pages and its hash, which makes browsers run only this script."""
     files = resources.files("fmu.report") / "templates"
     parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
     text = re.sub(r"^\s+|^//.*\n", "", f'"use strict";\n{"".join(parts)}', flags=re.MULTILINE)

@@ -94,7 +94,7 @@ def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]
 def mistakes_of_damping(
     parameters: Sequence[ParameterTable], damping: Sequence[Declared], has_tests: bool
 ) -> list[ArgumentError]:
-    """Return the list of mistakes in the names of damping parameters and in their tables.
+    """Return the list of errors in the names of damping parameters and in their tables.
 
     The parameters may vary between tests only if `has_tests` is True.
     """

@@ -195,7 +195,7 @@ def read_frfs(
     damping: Sequence[DampingModel],
     **inferred: object,
 ) -> tuple[list[FRFErrors], list[ArgumentError]]:
-    """Return the error models of the FRFs in all files, and the list of mistakes in the files and settings.
+    """Return the error models of the FRFs in all files, and the list of errors in the files and settings.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str]
 
 
 def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> float | dict[Dof, float]:
-    """Return a setting by response channel, named in the file as ``"tip z"``; return a number unchanged."""
+    """Return a setting for each response channel, named as in ``"tip z"``; return a number unchanged."""
     if not isinstance(given, Mapping):
         return given
     channels = {f"{place} {direction}": (place, direction) for place, direction in data.responses}

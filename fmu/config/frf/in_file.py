@@ -52,7 +52,7 @@ class FRFsInFile(NamedTuple):
         return OfFRFs(self.table, {str(one.test): one for one in errors if isinstance(one, FRFErrors)})
 
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
-        """Return the mistakes in the keys ``data``; each test needs one unless there are other error models."""
+        """Return the errors in the keys ``data``; each test needs one unless there are other error models."""
         where = f"error.{self.number}.data"
         if tests is None:
             return [ArgumentError(where, "is missing")] * (self.table.data is None)
@@ -68,7 +68,7 @@ class FRFsInFile(NamedTuple):
         ]
 
     def place(self, mistake: ArgumentError, errors: Sequence[ErrorModel]) -> ArgumentError:
-        """Return a mistake in the FRFs, found during the build, with the key of the file that names them.
+        """Return an error in the FRFs, found during the build, at the key of the problem file that names them.
 
         The key of `mistake` is ``data…``, or ``error.i.data…`` where i is an index in `errors`.
         """

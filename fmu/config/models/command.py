@@ -58,7 +58,7 @@ class CommandTable(ModelTable):
         return [self.template]
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model.
+        """Return the model that runs the program.
 
         Raises BrokenError if a file or the program is missing, or the template lacks a parameter.
         """

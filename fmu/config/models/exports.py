@@ -95,7 +95,7 @@ class ExportsTable(ModelTable):
         return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the list of mistakes in the exports and in the parameters, whose values the exports must give."""
+        """Return the list of errors in the exports and in the parameters, whose values the exports must give."""
         names = [parameter.name for parameter in parameters]
         found = Mistakes()
         if self.runs is None and len(self.exports) < 2:

@@ -87,7 +87,7 @@ class FrameTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the list of mistakes between tables, such as unknown names and members without length."""
+        """Return the inconsistencies between tables, such as unknown names and members without length."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
@@ -119,7 +119,7 @@ class FrameTable(ModelTable):
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
-        """Return the mistakes in targets: unknown names or directions, or quantities updated by two parameters."""
+        """Return the errors in targets: unknown names or directions, or quantities updated by two parameters."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
@@ -283,7 +283,7 @@ _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 
 def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
-    """Return a mistake for each key that a parameter with this property must not have."""
+    """Return an error for each key that a parameter with this property must not have."""
     wrong = [other for other in _SINGULAR if other != key and table.names_at(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")

@@ -1,4 +1,4 @@
-"""``[model.points]`` and ``[[model.lines]]``: the lines drawn to picture a structure that is given by matrices."""
+"""``[model.points]`` and ``[[model.lines]]``: lines that depict a structure that is given by matrices."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class LineTable(TomlTable):
 def mistakes_of_lines(
     points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
 ) -> list[ArgumentError]:
-    """Return the mistakes in lines: unknown points or parameters, points without lines, or lines beside a mesh."""
+    """Return the errors in lines: unknown points or parameters, points without lines, or lines beside a mesh."""
     names = [parameter.name for parameter in parameters]
     found = Mistakes()
     for i, line in enumerate(lines):

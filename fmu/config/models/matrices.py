@@ -90,7 +90,7 @@ class MatricesTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the mistakes between tables, such as powers of unknown parameters and unused parameters."""
+        """Return the inconsistencies between tables, such as unknown parameters in powers or unused parameters."""
         names = [parameter.name for parameter in parameters]
         found, used = Mistakes(), set[str]()
         for where, term in self._terms():
@@ -158,7 +158,7 @@ class MatricesTable(ModelTable):
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
     def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a mistake for each parameter and term whose power may be undefined between the bounds."""
+        """Return an error for each parameter and term whose power may be undefined between the bounds."""
         found = Mistakes()
         for where, term in self._terms():
             for i, table in enumerate(parameters):

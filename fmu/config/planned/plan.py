@@ -104,7 +104,7 @@ class PlanTable(TomlTable):
         return _MODES if self.modes is None else self.modes if isinstance(self.modes, int) else max(self.modes)
 
     def all_sensors(self, built: Built) -> tuple[Dof, ...]:
-        """Return the candidate and mounted sensors, for a model that has no degrees of freedom of its own.
+        """Return the candidate and mounted sensors, for a model without a list of degrees of freedom.
 
         Raises
         ------

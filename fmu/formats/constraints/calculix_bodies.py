@@ -3,8 +3,8 @@
 The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of the ROT NODE, or of a
 node that CalculiX adds, with a number above all others. Couplings are numbered first, then bodies, each in the
 order of the deck. A body also takes up a number for each of its nodes, a coupling for each node and each line of
-*KINEMATIC. These numbers are not documented. They are those that CalculiX 2.20 writes for two bodies, which the
-tests repeat. Other decks may have other numbers, as may decks with shells and beams, which CalculiX expands.
+*KINEMATIC. This numbering is not documented. It was found from the output of CalculiX 2.20 for two bodies, which
+the tests repeat. It may differ in other decks, and in decks with shells and beams, which CalculiX expands.
 
 *COUPLING with *DISTRIBUTING distributes the loads on a reference node that itself does not move: masses and
 springs at this node have no effect in CalculiX.

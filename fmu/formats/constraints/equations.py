@@ -1,4 +1,7 @@
-"""Linear constraint equations; each gives one dependent degree of freedom as a weighted sum of others."""
+"""Linear constraint equations; each gives one dependent degree of freedom as a weighted sum of others.
+
+A dependent degree of freedom is called a dependent for short.
+"""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ def transformation(
 
 
 def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict[DofName, str]:
-    """Return the constraint of each dependent. Raise RefusedError if it has two, or if the dependent is held."""
+    """Return the constraint that defines each dependent. Raise RefusedError if there are two, or it is held."""
     source: dict[DofName, str] = {}
     for one in equations:
         name = one.dependent

@@ -185,7 +185,7 @@ def _elements(lines: Iterable[str]) -> Iterator[_Element]:
     of_node: dict[int, list[int]] = {}
     n_nodes, reading, kind, number, owner = 0, "", "", "", ""
     words: list[str] = []
-    for line in chain(lines, ["*END"]):  # with which the last matrix ends
+    for line in chain(lines, ["*END"]):  # this line ends the last matrix
         text = line.strip().upper()
         if text.startswith("**"):
             if "ELEMENT NUMBER" in text:
@@ -217,7 +217,7 @@ def _elements(lines: Iterable[str]) -> Iterator[_Element]:
             words += values
             if len(words) > (6 * _MOST_NODES + 1) ** 2:
                 raise RefusedError(f"must have elements of at most {_MOST_NODES} nodes")
-        elif values:  # the degrees of freedom: the first line of all nodes, others from one node on
+        elif values:  # degrees of freedom: the first line of all nodes, further lines from one node on
             numbers = [_whole(word) for word in values]
             at, own = (numbers[0], numbers[1:]) if of_node else (1, numbers)
             of_node[at] = own

@@ -197,7 +197,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
     n = matrix.shape[0]
     transposed = sp.csr_array(matrix.T)
     root = np.sqrt(np.abs(matrix.diagonal()))
-    # where large numbers cancel, as in Tᵀ K T of constraints, rounding errors are of this size
+    # size of the rounding errors if large numbers cancel, as in Tᵀ K T with constraints
     rounding = _CANCELLED * float(np.max(root, initial=0.0)) ** 2
     step = max(ENTRIES_AT_A_TIME * n // max(matrix.nnz, 1), 1)
     for first in range(0, n, step):  # a block of rows at a time, to use at most twice the memory of the matrix

@@ -144,7 +144,7 @@ def _show_names(names: Sequence[DofName]) -> str:
 
 
 def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
-    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix moved to rows[i], zero elsewhere."""
+    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix at rows[i], and zeros in all others."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 

@@ -257,7 +257,7 @@ def read_beside(path: Path) -> list[Path]:
 
 
 def _is_pair(K: str, M: str) -> bool:
-    """Return True if two names are a stiffness and its mass, such as ``K`` and ``M`` or ``s.Kaa``, ``s.Maa``."""
+    """Return True if two names belong together, such as ``K`` and ``M``, or ``model.Kaa`` and ``model.Maa``."""
     rest = [re.split(r"[./]", name) for name in (K, M)]
     if rest[0][:-1] != rest[1][:-1]:
         return False

@@ -101,7 +101,7 @@ def plot_information(plan: Plan) -> Axes:
 
 
 def plot_expected_sds(plan: Plan) -> Axes:
-    """Draw the expected standard deviation of each parameter, relative to the one before the test."""
+    """Draw the expected standard deviation of each parameter, relative to its value before the test."""
     table = plan.parameters()
     names = [style.literal(str(name)) for name in table.index[:_MOST_NAMES]]
     axes = style.new_figure(style.NARROW, 0.9 + 0.28 * len(names)).subplots()

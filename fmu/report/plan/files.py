@@ -58,7 +58,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 
 
 def measurement_table(plan: Plan) -> str:
-    """Return the ``[measurement]`` table of a problem file with the planned sensors and values to replace."""
+    """Return the ``[measurement]`` table of a problem file with the planned sensors and placeholder values."""
     seen, modes = plan.design.found.nominal, list(plan.design.modes)
     f = seen.frequencies[0, modes]
     rows = plan.design.candidates.rows(plan.every)

@@ -55,7 +55,7 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
 
 
 def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> Axes:
-    """Draw the mean and 90 % interval of each parameter from every model, divided by the start value.
+    """Draw the mean and 90 % interval of each parameter from every model, relative to its start value.
 
     The parameters are those of the first model. Parameters that start at 0 are drawn in SI units.
 

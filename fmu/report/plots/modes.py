@@ -244,7 +244,7 @@ _ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0
 
 
 def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray:
-    """Return the projection matrix, shape (3, 2): onto the plane of a plane structure that moves in its plane.
+    """Return the projection matrix, shape (3, 2), onto the plane of a plane structure that moves in its plane.
 
     For any other structure the projection is isometric.
     """

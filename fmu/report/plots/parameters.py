@@ -51,7 +51,7 @@ def plot_parameter_updates(
     Returns
     -------
     ndarray of Axes, shape (units,)
-        One axes for the parameters of each unit; inferred standard deviations of errors have their own axes.
+        One axes for the parameters of each unit, and one for inferred standard deviations of errors.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)

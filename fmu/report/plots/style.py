@@ -69,7 +69,7 @@ def colour(sampler: str) -> str:
 
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
-    """Return the RGB values of a colour mixed with white, where `share` from 0 to 1 is the share of white."""
+    """Return the RGB values of a colour mixed with white; `share` is the fraction of white, from 0 to 1."""
     from matplotlib.colors import to_rgb
 
     red, green, blue = (share + (1.0 - share) * channel for channel in to_rgb(base))
@@ -172,7 +172,7 @@ def thin_labels(labels: Sequence[str]) -> list[str]:
 
 
 class RotatedLabels(TypedDict, total=False):
-    """Matplotlib options of rotated tick labels."""
+    """Matplotlib options for rotated tick labels."""
 
     rotation: float
     ha: Literal["right"]

@@ -167,7 +167,7 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
 
 
 def _time_of(trace: xr.DataTree, name: str) -> str:
-    """Return the covariate that serves as time for a parameter's damage; empty if the order of the tests does."""
+    """Return the covariate that serves as time for a parameter's damage; empty for the order of the tests."""
     return str(problem_of(trace)["by_date"][name])
 
 

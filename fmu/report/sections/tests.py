@@ -244,7 +244,7 @@ def _losses_of_groups(run: ReportedRun) -> list[Part]:
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return a verdict on the losses in each later state; empty if no parameter varies between groups."""
+    """Return a verdict on the losses in each later state; an empty tuple if the trace has no losses."""
     if not has(run.trace, LOSSES):
         return ()
     doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""

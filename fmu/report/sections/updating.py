@@ -243,7 +243,7 @@ def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
 
 
 def _shares_of_draws(seen: Visits) -> list[str]:
-    """Return texts of the share of draws at each maximum, with its Monte Carlo error if the error is positive."""
+    """Return the share of draws at each maximum as text, with its Monte Carlo error if that is positive."""
     return [
         f"{share(part)} ± {share(error)}" if error > 0 else share(part)
         for part, error in zip(seen.share, seen.error, strict=True)

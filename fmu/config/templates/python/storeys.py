@@ -21,9 +21,9 @@ def modes(theta: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     shapes = vectors / root[:, None]
     return {
         "frequencies": np.sqrt(squared) / (2.0 * np.pi),
-        # optional: shapes at the sensors of the measurement, (n_sensors, n_modes); modes are paired by them
+        # optional: shapes at the sensors of the measurement, (n_sensors, n_modes), used to pair the modes
         "shapes": shapes[[0, 2]],
-        # optional: the derivatives of the frequencies, (n_modes, n_parameters); else central differences are taken
+        # optional: the derivatives of the frequencies, (n_modes, n_parameters); by default central differences
         "gradient": _gradient(squared, shapes),
     }
 
