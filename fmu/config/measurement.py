@@ -176,7 +176,7 @@ class MeasurementTable(TomlTable):
         return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
-        """Return the list of those `keys` that this table contains in the file."""
+        """Return those of `keys` that the file gives in this table."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property

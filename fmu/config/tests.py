@@ -32,7 +32,7 @@ _OF_TEST = re.compile(r"\btests\.(\d+)\b")
 
 
 class AddedMass(TomlTable):
-    """A point mass that was added for a test; a negative mass was removed."""
+    """A point mass that was added for a test, or removed if the mass is negative."""
 
     place: int | str
     """Node or named place."""
@@ -41,7 +41,7 @@ class AddedMass(TomlTable):
 
 
 class AddedSpring(TomlTable):
-    """A spring to the ground that was added for a test; a spring with negative stiffness was removed."""
+    """A spring to the ground that was added for a test, or removed if the stiffness is negative."""
 
     place: int | str
     """Node or named place."""

@@ -183,7 +183,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return the section on the agreement of test and model at the sensors; empty if no shapes were measured."""
+    """Return a list with the section on test and model at the sensors; empty if no shapes were measured."""
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -204,7 +204,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return the section on measured frequency response functions, as a list; empty if there are none."""
+    """Return a list with the section on measured frequency response functions; empty if there are none."""
     if found.frfs is None:
         return []
     table = found.frfs.table().reset_index()

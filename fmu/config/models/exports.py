@@ -53,7 +53,7 @@ class _Files(NamedTuple):
 
 
 class RunsTable(TomlTable):
-    """A program that fmu runs once to export matrices: a run for each parameter, or for each of the exports."""
+    """A program that fmu runs to export matrices: one run for each parameter, or for each of the exports."""
 
     template: FileName
     """The input deck, relative to the folder of this file, with {NAME} for the value of each parameter: {E1},

@@ -28,8 +28,8 @@ class Equation(NamedTuple):
     ----------
     dependent : (node id, direction)
     weights : mapping of (node id, direction) to float
-        Weights for rotations in rad, along the axes of each node's degrees of freedom. Empty if the dependent
-        degree of freedom does not move.
+        Weights of other degrees of freedom, along the axes of each node; rotations are in rad. Empty if the
+        dependent degree of freedom does not move.
     source : str
         The entry of the file that gives the equation, for messages: ``"RBE2 11"``.
     """

@@ -158,7 +158,7 @@ def _copies(is_shell: bool, k: int, n: int) -> int:
 
 
 def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tuple[int, str], ...], Motions]:
-    """Return distinct names of the rows, and the displacements of original nodes as means of several rows.
+    """Return distinct names for the rows, and the displacements of original nodes as means over several rows.
 
     If a support holds some copies of a node, the mean of the others is not the node's displacement; it is omitted.
     """

@@ -162,7 +162,7 @@ def check_indices(matrix: sp.sparray) -> None:
 
 
 def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
-    """Return a matrix that has only one entry of each symmetric pair as a full symmetric csr_array.
+    """Return the symmetric csr_array of a matrix that stores only one entry of each symmetric pair.
 
     Raises
     ------

@@ -2,9 +2,9 @@
 
 Three statements are recognised: ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);``, in which
 the last two arguments are optional, and ``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and
-entries may be assigned to a variable first, as in Sierra's output: ``a = [1 1 5.0; 2 2 6.0];`` is followed by ``K
-= sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other statements are skipped; numbers must be
-literals.
+entries may be assigned to a variable first, as in Sierra's output: ``a = [1 1 5.0; 2 2 6.0];`` is followed by
+``K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other statements are skipped; numbers must
+be literals.
 """
 
 from __future__ import annotations

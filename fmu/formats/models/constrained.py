@@ -50,7 +50,7 @@ def constrain(
     matrices : sequence of csr_array, shape (n_dof, n_dof)
     dofs : sequence of (node id, direction)
     mesh : Mesh
-        Contains the constraints, and the supports, which matrices on all degrees of freedom do not include yet.
+        Provides the constraints, and the supports if the matrices do not include them yet.
     means : mapping
         Motions that are weighted sums of rows, in which constraints may be expressed; see `Motions`.
     is_whole : bool

@@ -2,8 +2,7 @@
 
 MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on the z
 axis, the third in the xz plane. Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from the z
-axis and φ about it. Angles are in degrees. Where the direction of r or θ is undefined, the axes are those at θ = φ
-= 0.
+axis and φ about it. Angles are in degrees. Where the direction of r or θ is undefined, θ = φ = 0 defines the axes.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def edges(mesh: Mesh | ExportedModel) -> IntArray:
 def inside(mesh: Mesh | ExportedModel) -> IntArray:
     """Return the row indices in `mesh.nodes` of nodes inside solids, where no sensor can be, in ascending order.
 
-    A midside node counts as on the surface if both ends of its edge are on the surface.
+    A midside node is considered to be on the surface if both ends of its edge are on the surface.
     """
     lines, faces = _lines_and_faces(mesh)
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}

@@ -1,4 +1,4 @@
-"""Figures of several models of the same data: predictions of held-out modes, and parameters."""
+"""Figures that compare several models of the same data: predictions of held-out modes, and parameters."""
 
 from __future__ import annotations
 
