@@ -1,5 +1,6 @@
 """Which kernels of OpenBLAS the numerical tests are run with, one per line, as OPENBLAS_CORETYPE names them.
 
+The kernels that this processor takes by itself are left out: all tests have run with them.
 Those of AVX-512 are illegal instructions on most processors. And OpenBLAS 0.3.34 on AMD's Zen 4 and 5 takes block
 sizes for AVX-512 even where other kernels are forced, and then crashes in large products with Haswell's (issues
 6021 and 6026 of OpenMathLib/OpenBLAS): there those of Sandybridge stand in for them.
@@ -9,6 +10,9 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+
+import scipy.linalg  # noqa: F401 - its OpenBLAS is another one than NumPy's
+from threadpoolctl import threadpool_info
 
 PRODUCT = "import numpy as np; a = np.ones((512, 512)); assert np.all(a @ a == 512.0)"
 
@@ -28,5 +32,12 @@ def kernels() -> list[str]:
     return wanted + (["SkylakeX"] if "avx512f" in flags else [])
 
 
+def default_kernels() -> set[str]:
+    """Return the kernels that NumPy and SciPy take by themselves here, if they take the same; else none."""
+    found = {one["architecture"] for one in threadpool_info() if one["internal_api"] == "openblas"}
+    return found if len(found) == 1 else set()
+
+
 if __name__ == "__main__":
-    print("\n".join(kernels()))
+    tested = default_kernels()
+    print("\n".join(kernel for kernel in kernels() if kernel not in tested))
