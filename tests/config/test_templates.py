@@ -11,7 +11,7 @@ import fmu
 from fmu.config.problem import ProblemFile
 from fmu.config.template import KINDS, files, template, write_template
 
-SHORT = {"draws": 200, "warmup": 200, "chains": 2}
+SHORT = {"draws": 100, "warmup": 60, "chains": 2}
 MARK = "#: "
 CONSTANTS = ("A", "Iy", "Iz", "J")
 ALTERNATIVES = {
@@ -54,12 +54,13 @@ def test_it_loads_checks_and_runs(kind, tmp_path):
     problem = fmu.load(write_template(kind, tmp_path / "new"))
     found = fmu.check(problem, draws=20)
     assert found.doubts == ()
-    best = fitted(problem) if kind in RUN else fmu.find_map(problem, starts=8)[0].theta
+    maxima = None if kind in RUN else fmu.find_map(problem, starts=8)
+    best = fitted(problem) if maxima is None else maxima[0].theta
     sd = np.max(np.abs(problem.frequencies(best) - problem.data.frequencies_hz) / problem.likelihood.error.sd)
     assert sd < 3.0  # the model fits the modes that it comes with
-    if kind in RUN:  # 8000 runs of a program: tests/config/models/test_command_table.py samples with fewer
+    if maxima is None:  # 8000 runs of a program: tests/config/models/test_command_table.py samples with fewer
         return
-    trace = fmu.sample(problem, "hmc", **SHORT)
+    trace = fmu.sample(problem, maxima=maxima, **SHORT)
     assert fmu.summary(trace)["rhat"].max() < 1.1
 
 

@@ -34,7 +34,7 @@ def sampled(request):
         discrepancy=KINDS[request.param],
     )  # fmt: skip
     trace = fmu.sample(
-        problem, "hmc", draws=100, warmup=100, maxima=fmu.find_map(problem, starts=2), progress=False
+        problem, "mh", draws=100, warmup=50, maxima=fmu.find_map(problem, starts=2), progress=False
     )  # fmt: skip
     return request.param, problem, trace
 
@@ -104,7 +104,7 @@ def test_a_wrong_model_is_not_sure_of_a_damage(is_allowed_for):
         discrepancy=fmu.Discrepancy(groups=("k1",), prior_sd=0.2) if is_allowed_for else (),
     )  # fmt: skip
     trace = fmu.sample(
-        problem, "hmc", draws=150, warmup=150, maxima=fmu.find_map(problem, starts=4), progress=False
+        problem, "mh", draws=150, warmup=150, maxima=fmu.find_map(problem, starts=4), progress=False
     )
     loss = next(name for name in problem.names if "loss" in name)
     sure = float((trace["posterior"][loss] > 0.05).mean())
