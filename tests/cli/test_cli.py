@@ -77,7 +77,7 @@ def ran(young, tmp_path_factory):
 def converged(young, tmp_path_factory):
     """The directory of a run that was long enough, and what it printed."""
     folder = tmp_path_factory.mktemp("converged")
-    length = ("--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
+    length = ("--warmup", 200, "--sampler", "mixture", "--out", "here", "--until-ess", 450)
     with pytest.MonkeyPatch.context() as patch:
         result = commands_in(folder, patch, young)("run", "cantilever-young", *length, "--no-report")
     assert result.exit_code == 0, result.output
@@ -257,14 +257,14 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, 
 def test_sampling_on_until_there_is_enough(converged):
     out, result = converged
     assert "Stopped" not in result.stdout
-    assert "hmc  converged" in result.stdout.splitlines()
+    assert "mixture  converged" in result.stdout.splitlines()
     assert any(re.match(r"Next: fmu export \S+ writes the updated values and model\.", line) for line in
                result.stdout.splitlines())  # fmt: skip
-    trace = fmu.load_trace(out / "hmc.nc")
+    trace = fmu.load_trace(out / "mixture.nc")
     assert 50 < trace["posterior"].sizes["draw"] <= 3000  # E4 and E5 lie at their bounds: a far end is known least
     assert trace["warmup_posterior"].sizes["draw"] == 200
     assert "limit" not in trace.attrs
-    assert pd.read_csv(out / "summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
+    assert pd.read_csv(out / "summary-mixture.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
 
 
 def test_sampling_ends_at_the_limit_and_says_so(invoke, monkeypatch):
@@ -293,13 +293,13 @@ def test_draws_are_drawn_exactly_and_need_not_suffice(ran):
 
 def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(converged, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    trace = fmu.load_trace(converged[0] / "hmc.nc")
+    trace = fmu.load_trace(converged[0] / "mixture.nc")
     del trace["maxima"]
-    save_trace(trace, "hmc.nc")
+    save_trace(trace, "mixture.nc")
     result = CliRunner().invoke(cli.main, ["compare", "."])
     lines = result.stdout.splitlines()
-    at = lines.index("hmc  converged locally")
-    assert lines[at + 1].startswith("     - judged by its own draws only, as no maxima are")
+    at = lines.index("mixture  converged locally")
+    assert lines[at + 1].startswith("         - judged by its own draws only, as no maxima are")
 
 
 def test_numbers_that_do_not_apply_are_dashes(invoke):

@@ -14,6 +14,8 @@ from fmu.cli import main
 from fmu.cli.tables import echo_maxima, echo_summary
 from tests.mast import NAMES, damaged
 
+pytestmark = pytest.mark.usefixtures("quick_figures")
+
 
 def printed(faster, folder):
     """Return what ``fmu damage`` prints of a run on the mast."""

@@ -51,7 +51,7 @@ def test_too_many_failures(folder):
         'name = "brittle"\n[model]\ntype = "python"\nfunction = "brittle:hz"\n'
         "[measurement]\nfrequencies = [4.0, 9.0]\nsd = 0.5\n" + parameter.format("a") + parameter.format("b")
     )
-    length = ("--warmup", 30, "--draws", 100, "--chains", 4, "--starts", 2, "--init", "start", "--sampler", "mh")
+    length = ("--warmup", 30, "--draws", 40, "--chains", 4, "--starts", 2, "--init", "start", "--sampler", "mh")
     stopped = run("--max-failure-rate", 0.05, length=length)
     assert stopped.exit_code == 1, stopped.output
     *_, line = stopped.stderr.splitlines()

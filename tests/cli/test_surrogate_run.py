@@ -11,6 +11,7 @@ from fmu.cli import main
 from fmu.numbers import whole
 from fmu.surrogates import learning
 from fmu.surrogates.learning import SurrogateWarning
+from tests.pictures import without_pictures
 
 SOURCE = """
 import time
@@ -65,7 +66,8 @@ def run(*arguments):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = written(tmp_path_factory.mktemp("slow"), 0.055)
-    done = run(folder / "storeys.toml", "--out", folder / "a", *LENGTH)
+    with without_pictures():
+        done = run(folder / "storeys.toml", "--out", folder / "a", *LENGTH)
     assert done.exit_code == 0, done.output
     return folder, done
 
@@ -151,7 +153,7 @@ def exact(tmp_path_factory):
     folder = written(tmp_path_factory.mktemp("exact"), 0)
     (folder / "slow.py").write_text(ROUGH)
     (folder / "storeys.toml").write_text(PROBLEM.replace("[4.65, 13.5]", "[5.7, 12.8]"))
-    with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patched:
+    with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patched, without_pictures():
         warnings.simplefilter("ignore", SurrogateWarning)  # the tolerance is missed
         patched.setattr(learning, "most_solves", lambda problem: 22)
         return folder, run(folder / "storeys.toml", "--out", folder / "a", *EXACT)

@@ -251,6 +251,7 @@ def test_one_measurement_or_several_tests(tmp_path):
     ]
 
 
+@pytest.mark.usefixtures("quick_figures")
 def test_check_run_and_damage(tmp_path):
     """From the file to the losses, by the commands; a population has no maxima to search for."""
     losses = written(tmp_path, K1 + 'varies = "damage"\n', K2, PLAIN, LOADED)
@@ -259,7 +260,7 @@ def test_check_run_and_damage(tmp_path):
     assert checked.exit_code == 0, checked.output
     assert "2 tests of one structure in 2 configurations" in checked.output
     out = tmp_path / "run"
-    short = ["--draws", "60", "--warmup", "60", "--starts", "4", "--no-report", "--out", str(out)]
+    short = ["--draws", "30", "--warmup", "20", "--starts", "2", "--no-report", "--out", str(out)]
     ran = runner.invoke(main, ["run", str(losses), *short])
     assert ran.exit_code == 0, ran.output
     assert "Losses since " in ran.output
@@ -274,7 +275,7 @@ def test_check_run_and_damage(tmp_path):
     scattered = written(tmp_path, K1 + of_both, K2 + of_both, PLAIN, LOADED, again)
     out = tmp_path / "scattered"
     ran = runner.invoke(
-        main, ["run", str(scattered), "--draws", "40", "--warmup", "40", "--no-report", "--out", str(out)]
+        main, ["run", str(scattered), "--draws", "10", "--warmup", "10", "--no-report", "--out", str(out)]
     )
     assert ran.exit_code == 0, ran.output
     assert (out / "gibbs.nc").is_file()

@@ -29,13 +29,6 @@ def cluster(dask_processes):
         yield cluster
 
 
-@pytest.fixture(scope="module")
-def mortal_processes(local_cluster):
-    """Two processes for the tests that kill one: each waits first for what the one before it killed."""
-    with local_cluster(2) as processes:
-        yield processes
-
-
 @pytest.fixture
 def own_processes(local_cluster):
     """Two processes for one test that kills them: Dask may lose a process for good that dies as it starts."""
@@ -81,24 +74,6 @@ def test_what_is_shared_is_sent_once(cluster, tmp_path):
 def test_large_tasks_are_sent_without_a_warning(cluster):
     """Dask warns of tasks of more than 10 MB, as the states of large groups of chains are."""
     assert cluster.run_tasks(engine_tasks.length, None, [b"x" * 11_000_000]) == [11_000_000]
-
-
-def test_a_task_whose_worker_was_killed_is_done_again(mortal_processes, tmp_path):
-    running(mortal_processes)
-    given = ["a", "mortal", "b", "c", "d"]
-    with engine(cluster=mortal_processes.scheduler_address) as cluster:
-        assert cluster.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
-
-
-@pytest.mark.validate
-def test_a_run_whose_worker_was_killed_draws_the_same(mortal_processes, tmp_path):
-    running(mortal_processes)
-    settings = SETTINGS | {"chains": 4, "groups": 4}
-    alone = fmu.sample(LinearProblem(), "hmc", **settings)
-    address = mortal_processes.scheduler_address
-    trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers=address, **settings)
-    assert (tmp_path / "died").exists()
-    assert_same(trace, alone)
 
 
 @deaths_in_a_row
@@ -191,3 +166,22 @@ def test_a_large_structure_is_trained_and_solved_the_same(cluster):
             )
     assert_states_equal(found[0][0], found[1][0])
     np.testing.assert_array_equal(found[0][1], found[1][1])
+
+
+def test_a_task_whose_worker_was_killed_is_done_again(dask_processes, tmp_path):
+    """The last, as it kills a process of the cluster of the others."""
+    running(dask_processes)
+    given = ["a", "mortal", "b", "c", "d"]
+    with engine(cluster=dask_processes.scheduler_address) as cluster:
+        assert cluster.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
+
+
+@pytest.mark.validate
+def test_a_run_whose_worker_was_killed_draws_the_same(dask_processes, tmp_path):
+    running(dask_processes)
+    settings = SETTINGS | {"chains": 4, "groups": 4}
+    alone = fmu.sample(LinearProblem(), "hmc", **settings)
+    address = dask_processes.scheduler_address
+    trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers=address, **settings)
+    assert (tmp_path / "died").exists()
+    assert_same(trace, alone)

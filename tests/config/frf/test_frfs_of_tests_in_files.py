@@ -108,12 +108,13 @@ def test_a_mistake_has_its_place_in_the_file(old, new, message, text, folder):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_a_run_of_a_file_writes_a_page(text, folder, tmp_path):
+def test_a_run_of_a_file_writes_a_page(text, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     for name in ("may.csv", "june.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     (tmp_path / "storeys.toml").write_text(text)
-    options = ["--draws", "40", "--warmup", "40", "--chains", "2", "--out", str(tmp_path / "run"), "--report"]
-    result = CliRunner().invoke(cli.main, ["run", str(tmp_path / "storeys.toml"), *options], prog_name="fmu")
+    options = ["--draws", "20", "--warmup", "20", "--chains", "2", "--starts", "2", "--report"]
+    result = CliRunner().invoke(cli.main, ["run", "storeys.toml", *options, "--out", "run"], prog_name="fmu")
     assert result.exit_code == 0, result.output
     page = (tmp_path / "run" / "report" / "index.html").read_text(encoding="utf-8")
     assert "june: 0 x / 2 x" in page
