@@ -129,7 +129,7 @@ def test_every_configuration_of_several_tests_is_certified(problem, monkeypatch)
     tests = [fmu.Test("plain", data), fmu.Test("again", data), fmu.Test("loaded", data, masses={place: 0.01})]
     joint = fmu.JointProblem(structure, tests, problem.parameters, pairing="index")
     assert len(joint.model.parts) == 2
-    trace = fmu.sample(joint, "slice", draws=20, warmup=20, chains=2, seed=3)
+    trace = fmu.sample(joint, "slice", draws=20, warmup=5, chains=2, seed=3, maxima=fmu.find_map(joint, starts=2))
     assert trace.attrs["certificate_bound_draws"] == 40
     assert trace.attrs["certificate_draws"] == 6
     assert 0 < trace.attrs["certificate_frequency_error"] <= trace.attrs["certificate_bound"] + 1e-8 <= 1e-6

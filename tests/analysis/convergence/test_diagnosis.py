@@ -149,7 +149,7 @@ def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, sec
     """The false calm: in equal proportion in every ensemble, so that the ensembles agree."""
     init = np.concatenate([around(k, 4, 8) for k in modes], axis=1)
     calm = fmu.Ensemble(walkers=16, moves="stretch")
-    trace = fmu.sample(section, calm, draws=400, warmup=0, init=init, seed=1)
+    trace = fmu.sample(section, calm, draws=200, warmup=0, init=init, seed=1)
     assert summary(trace)["rhat"].max() < 1.02
     failures = convergence_failures(trace)
     assert any(": R-hat over walkers is " in f for f in failures)

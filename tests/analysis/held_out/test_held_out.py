@@ -205,11 +205,12 @@ def test_a_mode_that_was_not_left_out_is_named(make_result, problem, monkeypatch
 def test_modes_that_importance_sampling_does_not_predict_have_runs_of_their_own(few, problem, monkeypatch):
     """For a caller who waits however long it takes; a run that does not converge gives no number."""
     monkeypatch.setattr(modes, "_left_out_all", lambda *_: {})
-    monkeypatch.setattr(own_run, "_WARMUP", 200)
+    monkeypatch.setattr(own_run, "_WARMUP", 100)
+    monkeypatch.setattr(own_run, "_FIRST", 500)
     table = fmu.leave_one_out(few(problem), problem)
     assert table["method"].tolist() == BY_REFITS
     check(table, (True,) * 3, np.diag(0.5 / BETA), sigmas=6.0)
-    monkeypatch.setattr(own_run, "_MOST", 1000)
+    monkeypatch.setattr(own_run, "_MOST", 500)
     monkeypatch.setattr(own_run, "_is_converged", lambda draws: False)
     assert not fmu.leave_one_out(few(problem), problem)["method"].any()
 

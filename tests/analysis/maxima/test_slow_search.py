@@ -45,11 +45,11 @@ def test_the_search_of_a_slow_function_takes_no_more_solves_than_a_surrogate(slo
 
 def test_its_verdict_says_locally_and_why(slow):
     problem, _ = slow
-    trace = fmu.sample(problem, "mh", init="start", until_ess=400, seed=1)
+    trace = fmu.sample(problem, "mh", init="start", warmup=300, until_ess=400, seed=1)
     found = fmu.diagnose(trace)
     assert found.state == "converged locally"
     assert found.remarks[0].startswith("a solve takes long, so that the search ended after ")
     searched = fmu.sample(
-        problem, "mh", init="start", until_ess=400, seed=1, maxima=fmu.find_map(problem, starts=16)
+        problem, "mh", init="start", warmup=300, until_ess=400, seed=1, maxima=fmu.find_map(problem, starts=16)
     )
     assert fmu.diagnose(searched).state == "converged"

@@ -30,7 +30,7 @@ def problem_of(truth, discrepancy=(), kind="relative", sd=0.005, **more):
 
 
 def sampled(problem):
-    return fmu.sample(problem, draws=150, warmup=100, maxima=fmu.find_map(problem, starts=8))
+    return fmu.sample(problem, draws=150, warmup=100, maxima=fmu.find_map(problem, starts=4))
 
 
 def log_evidence(problem):

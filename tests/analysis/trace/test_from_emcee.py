@@ -34,8 +34,8 @@ def sampled(function, steps, *, seed=1, backend=None, ndim=2, spread=1.0, **opti
 
 @pytest.fixture(scope="module")
 def long():
-    """A run of some 1000 autocorrelation times."""
-    return sampled(gaussian, 8200, moves=emcee.moves.DEMove())
+    """A run of some 500 autocorrelation times."""
+    return sampled(gaussian, 4200, moves=emcee.moves.DEMove())
 
 
 def assert_emcees_numbers(trace, sampler, **options):
@@ -73,7 +73,7 @@ def test_acceptance_discard_and_evaluations_are_kept(long):
     moved = trace["sample_stats"]["accepted"].sum() + trace["warmup_sample_stats"]["accepted"].sum()
     assert int(moved) == long.backend.accepted.sum()
     assert trace.attrs["warmup_n_solves"] == WALKERS * 201, "the start was evaluated too"
-    assert trace.attrs["n_solves"] == WALKERS * 8000
+    assert trace.attrs["n_solves"] == WALKERS * 4000
     table = fmu.compare({"emcee": trace})
     assert table["accept_rate"].iloc[0] == pytest.approx(long.acceptance_fraction.mean(), rel=0.01)
 
@@ -86,7 +86,7 @@ def test_the_verdict_on_one_ensemble_rests_on_times_and_walkers_and_says_what_it
         "one ensemble: separate modes cannot be excluded; run 4 ensembles from spread starts, such as "
         "problem.walkers(n, seed), and give fmu.from_emcee the list of them",
     )
-    short = fmu.diagnose(fmu.from_emcee(long, discard=8000))
+    short = fmu.diagnose(fmu.from_emcee(long, discard=4000))
     assert not short.converged
     assert "autocorrelation times long; 50 are needed" in short.reasons[0]
     assert "steps are needed: continue with sampler.run_mcmc(None, " in short.reasons[0]
@@ -259,8 +259,8 @@ def test_what_is_refused(long):
         fmu.from_emcee(SimpleNamespace())
     with pytest.raises(ValueError, match="source: must hold at least one ensemble"):
         fmu.from_emcee([])
-    with pytest.raises(ValueError, match=r"discard: must leave at least 1 of 8200 stored steps .* \(got 8200\)"):
-        fmu.from_emcee(long, discard=8200)
+    with pytest.raises(ValueError, match=r"discard: must leave at least 1 of 4200 stored steps .* \(got 4200\)"):
+        fmu.from_emcee(long, discard=4200)
     with pytest.raises(ValueError, match=r"discard: must be one number, or one for each of 1 ensembles \(got 2\)"):
         fmu.from_emcee(long, discard=[1, 2])
     with pytest.raises(ValueError, match="thin: must be a whole number of at least 1"):
