@@ -84,8 +84,8 @@ def _length(request, monkeypatch):
     """Leave the runs of the examples their lengths, or shorten them to a hundred steps or so."""
     sample = fmu.sample
 
-    def shortened(*given, draws=1000, warmup=1000, **options):
-        return sample(*given, draws=min(draws, 80), warmup=min(warmup, 60), **options)
+    def shortened(*given, draws=1000, warmup=1000, chains=2, **options):
+        return sample(*given, draws=min(draws, 80), warmup=min(warmup, 60), chains=chains, **options)
 
     if request.param:
         monkeypatch.setattr(fmu, "sample", shortened)

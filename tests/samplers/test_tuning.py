@@ -225,7 +225,7 @@ def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
 def test_steps_on_a_flat_density_have_an_end():
     """All are accepted, so that no acceptance rate bounds them, and walls reflected the longest to death."""
     sampler = HamiltonianMonteCarlo()
-    stats = warmed(Flat(), sampler).posterior.stats
+    stats = warmed(Flat(), sampler, warmup=300, draws=100).posterior.stats
     assert np.all(stats["accepted"])
     assert stats["step_size"].max() <= 10.0 * (1.0 + sampler.jitter) * sampler.length
     assert stats["n_bounces"].max() <= 100
@@ -234,9 +234,8 @@ def test_steps_on_a_flat_density_have_an_end():
 def test_steps_are_short_where_longer_ones_diverge():
     """At the usual acceptance rate one trajectory in three hundred diverged, so that no run converged."""
     density = plain_densities.BentLittle()
-    for seed in (1, 2):
-        result = warmed(density, HamiltonianMonteCarlo(), warmup=1000, draws=500, seed=seed)
-        assert result.learnt["target_accept"] == SHORT_STEPS
-        assert np.mean(result.posterior.stats["diverging"]) <= 1e-3
+    result = warmed(density, HamiltonianMonteCarlo(), warmup=1000, draws=500, seed=1)
+    assert result.learnt["target_accept"] == SHORT_STEPS
+    assert np.mean(result.posterior.stats["diverging"]) <= 1e-3
     usual = warmed(CorrelatedGaussian(), HamiltonianMonteCarlo(), draws=10).learnt
     assert usual["target_accept"] == HamiltonianMonteCarlo.target_accept

@@ -33,7 +33,7 @@ def moments(of):
     """Mean and sd of a posterior by quadrature around its maximum."""
     best = fmu.find_map(of, 16)[0]
     axes = [
-        np.linspace(max(of.lower[j], best.mean[j] - 7 * best.sd[j]), best.mean[j] + 7 * best.sd[j], 121)
+        np.linspace(max(of.lower[j], best.mean[j] - 7 * best.sd[j]), best.mean[j] + 7 * best.sd[j], 61)
         for j in (0, 1)
     ]
     theta = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -158,7 +158,7 @@ def test_scatter_of_the_answers_is_estimated_and_told(exact_moments):
 def test_no_verdict_without_the_certificate(learnt):
     """Draws of a surrogate that misses its tolerance have not converged to the posterior of the model."""
     found, seen = learnt[0], []
-    trace = fmu.sample(found, draws=400, warmup=300, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
+    trace = fmu.sample(found, draws=300, warmup=150, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
     assert [seen[0].converged, fmu.diagnose(trace).converged] == [True, True]
     trace.attrs["certificate_shift"] = 3.7
     verdict = fmu.diagnose(trace)
@@ -171,7 +171,7 @@ def test_no_verdict_without_the_certificate(learnt):
     assert fmu.diagnose(trace).converged
     uncertain = replace(found.model.certificate, shift=np.inf)
     unknown = found.with_model(Approximation(found.model.truth, found.model.cheap, uncertain))
-    fmu.sample(unknown, draws=400, warmup=300, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
+    fmu.sample(unknown, draws=20, warmup=20, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
     assert "may be off by any amount" in seen[-1].reasons[-1]
 
 

@@ -82,12 +82,13 @@ def test_few_hits_give_student_errors():
 def test_the_slope_of_few_hits_has_the_variance_that_its_curvature_promises():
     """Over tests with errors of a fixed size: the variance of the gradient is the mean information."""
     rng, slopes, informations = np.random.default_rng(0), [], []
-    sd = 0.1 * np.abs(receptances())
+    exact, parts = receptances(), (building(), modes(), parameters())
+    sd = 0.1 * np.abs(exact)
     for _ in range(200):
         noise = rng.standard_normal((5, *sd.shape)) + 1j * rng.standard_normal((5, *sd.shape))
-        data = fmu.FRFData.from_hits(LINES, receptances() + sd * noise, ((2, "x"),) * 2, POINTS, "receptance")
+        data = fmu.FRFData.from_hits(LINES, exact + sd * noise, ((2, "x"),) * 2, POINTS, "receptance")
         own = fmu.FRFErrors(data, fmu.ModalDamping([float(ratio) for ratio in RATIOS]))
-        term = fmu.UpdatingProblem(building(), modes(), parameters(), error=own).likelihood.responses[0]
+        term = fmu.UpdatingProblem(*parts, error=own).likelihood.responses[0]
         theta = np.r_[TRUTH][None]
         slopes.append(term.terms_and_gradient(theta)[1][0])
         informations.append(term.information(theta)[0])
