@@ -72,13 +72,13 @@ class BlackBoxModel:
         Folder for results. Results that took `SLOW_S` or longer (per point, if the function is batched) are stored
         there and reused, in this run and in others. They are stored under a hash of the function's source file and
         of the user's own modules that it imports (`fmu.fem.programs.sources`). Other dependencies, such as data
-        files, are not tracked: when a problem is built, the function is called at the start and must return the
-        result that is stored for the start (`at`).
+        files, are not tracked. Instead, when a problem is built, the function is called at the starting point and
+        must reproduce the result stored for it (`at`).
 
     Attributes
     ----------
     solved : Solves
-        The solves made: in a process, the function is called at most once at each theta.
+        Solves made in this process. The function is normally not called twice at the same theta.
     solves : SolveStore or None
         Stored solves of this run and of others; None without a store.
     reasons : list of Failure

@@ -1,4 +1,4 @@
-"""The error of reduced frequency response functions at draws, by a larger basis and by the full structure."""
+"""Errors of reduced frequency response functions at draws, from a larger basis and the full structure."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class FRFCertificate:
 
     @classmethod
     def worst(cls, certificates: Iterable[FRFCertificate]) -> FRFCertificate | None:
-        """Return one certificate of several tests at the same draws, with the largest errors; None for none."""
+        """Return one certificate for several tests at the same draws, with the largest errors; None for none."""
         every = list(certificates)
         if not every:
             return None
@@ -78,7 +78,7 @@ class FRFCertificate:
         return cls(**{name: np.asarray(value).item() for name, value in values.items()})
 
     def sentence(self) -> str:
-        """Return the sentence on the errors."""
+        """Return a sentence on the errors."""
         return (
             f"The reduced model of the FRFs was compared with a larger one at {self.draws} draws: its errors move "
             f"the posterior by at most {significant(self.shift, 2)} of its standard deviations (allowed: "
@@ -118,7 +118,7 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
 
 
 def _direct_error(model: FRFModel, theta: FloatArray, at: FloatArray) -> float:
-    """Return the largest error at the lines with the indices `at`, in their units, from direct solves."""
+    """Return the largest error, by direct solves, at the lines with the indices `at`, in the lines' units."""
     omega = model.lines.omega[at]
     damped = model.with_damping(Damping(loss=Source(_LOSS)))
     found = damped.at(theta, np.empty((1, 0))).frfs(omega)[0]

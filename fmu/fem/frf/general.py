@@ -2,12 +2,12 @@
 
 The dynamic stiffness D(ω) = K' + i ω C − ω² M has a complex symmetric K' = Σ_k (1 + i η_k) c_k K_k, with a loss
 factor η_k of each stiffness term, and C = α M + β K + Σ_d c_d C_d. Its inverse on the reduced basis is a sum over
-the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0, solved as a linear one of twice the size
-(Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
+the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0, which is solved as a linear eigenproblem of
+twice the size (Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
 
     H_jk(ω) = Σ_r x_jr x_kr / (i ω − s_r),      x_rᵀ (2 s_r M + C) x_r = 1.
 
-The derivatives need those of the matrices alone: dH_jk = −u_jᵀ dD u_k, with u_k(ω) = D(ω)⁻¹ b_k.
+The derivatives need only the derivatives of the matrices: dH_jk = −u_jᵀ dD u_k, with u_k(ω) = D(ω)⁻¹ b_k.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class GeneralResponses:
         return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
 
     def add(self, weights: ComplexArray) -> None:
-        """Add the lines of the last `frfs`, each with the weight of which dL = Re Σ w dH, (n, n_frfs, n_lines)."""
+        """Add the lines of the last `frfs` to the derivatives of a function L; see `ModalResponses.add`."""
         one = np.ones(len(self._omega), dtype=complex)
         for power, factor in enumerate((one, 1j * self._omega, -(self._omega**2) * one)):
             for f, (j, k) in enumerate(zip(self._responses, self._drives, strict=True)):
@@ -137,7 +137,7 @@ class GeneralResponses:
                 self._sums[power] -= left @ np.swapaxes(self._u[:, k], 1, 2)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L by the parameters of the structure, (n, p), and of the damping, (n, q)."""
+        """Return the derivatives of L over the structural parameters, (n, p), and over the damping, (n, q)."""
         damping, (by_K, by_C, by_M) = self.damping, self._sums
         alpha, beta = (source.at(self.values)[:, :, None] for source in (damping.alpha, damping.beta))
         # each stiffness term has its own loss factor
@@ -161,7 +161,7 @@ class GeneralResponses:
         return found, of_damping
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
-        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω: by the structure, then by the damping."""
+        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω; see `ModalResponses.slopes`."""
         u, damping = self.displacements(omega), self.damping
         n, r = self.K.shape[:2]
         p = self.theta.shape[1]

@@ -36,9 +36,9 @@ class Damping:
     alpha, beta, loss : Source
         Rayleigh's α in 1/s and β in s, and the loss factor of the whole structure.
     ratios : tuple of Source
-        Damping ratios of the elastic modes in ascending order; the last is that of all higher modes.
+        Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
     losses : dict of int to Source
-        Loss factor of the stiffness that a parameter of the model sets, by the index of the parameter.
+        Loss factor of the stiffness that a parameter of the model scales, by the index of the parameter.
     dashpots : tuple of (sparse, Source)
         Matrix (n_dof, n_dof) of each dashpot, and its coefficient in N·s/m.
     """
@@ -53,7 +53,7 @@ class Damping:
 
     @property
     def couples_modes(self) -> bool:
-        """Whether the modes of the undamped structure are coupled."""
+        """Whether the damping couples the modes of the undamped structure."""
         return bool(self.losses or self.dashpots)
 
 
@@ -168,7 +168,7 @@ class FRFModel:
         return {"frfs": digest(settings.encode() + contents)}
 
     def at(self, theta: FloatArray, values: FloatArray) -> ModalResponses | GeneralResponses:
-        """Return the responses at parameters of the structure (n, p) and of the damping (n, q)."""
+        """Return the responses for structural parameters (n, p) and damping parameters (n, q)."""
         return self._respond(self.block, self.of_block, self.points, theta, values)
 
     def on(self, block: ReducedBlock) -> FRFModel:

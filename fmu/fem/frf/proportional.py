@@ -1,4 +1,4 @@
-"""Damping that leaves the modes of the undamped structure as they are, and the responses by one real eigenproblem.
+"""Damping that does not couple the modes of the undamped structure, with responses from one real eigenproblem.
 
 With mass-normalised shapes φ_r and eigenvalues λ_r = ω_r², the receptance between the points j and k is
 
@@ -7,8 +7,8 @@ With mass-normalised shapes φ_r and eigenvalues λ_r = ω_r², the receptance b
 with the viscous part c_r = α + β λ_r + 2 ζ_r ω_r (Rayleigh's α and β, modal ratios ζ_r) and the hysteretic part
 h_r = η λ_r (loss factor η of the whole structure); Ewins, *Modal Testing*, 2nd ed. 2000, chapter 2.
 
-The derivatives by K and M need no derivatives of shapes. For symmetric changes dK, dM in the coordinates of the
-modes,
+Derivatives with respect to K and M need no derivatives of shapes. For symmetric changes dK, dM in the coordinates
+of the modes,
 
     dH_jk = Σ_rs φ_jr φ_ks (f_rs dK_rs − (½ (g_r + g_s) + ½ (λ_r + λ_s) f_rs) dM_rs),
 
@@ -32,7 +32,7 @@ products."""
 
 
 class Source(NamedTuple):
-    """A coefficient of damping: a constant, or one of the damping parameters.
+    """A damping coefficient: a constant, or one of the damping parameters.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Source(NamedTuple):
     column: int | None = None
 
     def at(self, values: FloatArray) -> FloatArray:
-        """Return the coefficient, shape (n, 1), at damping parameters (n, q)."""
+        """Return the coefficient, shape (n, 1), for damping parameters (n, q)."""
         if self.column is None:
             return np.full((len(values), 1), self.value)
         return values[:, self.column : self.column + 1]
@@ -56,7 +56,7 @@ ZERO = Source(0.0)
 
 
 class Rates(NamedTuple):
-    """The damping of each mode and its derivatives by the eigenvalue of the mode.
+    """The damping of each mode, and its derivatives with respect to the eigenvalue of the mode.
 
     Attributes
     ----------
@@ -83,9 +83,10 @@ class ProportionalDamping:
     alpha, beta, loss : Source
         α in 1/s, β in s, and the loss factor η.
     ratios : tuple of Source
-        Damping ratios of the modes in ascending order; the last ratio is that of all higher modes. Empty for none.
+        Damping ratios of the modes in ascending order; the last ratio applies to all higher modes too. Empty if
+        there are none.
     n_rigid : int
-        Number of rigid-body modes, which come before the first ratio and have no damping by ratios.
+        Number of rigid-body modes. They come before the mode of the first ratio, and ratios do not damp them.
     """
 
     n_values: int
@@ -96,7 +97,7 @@ class ProportionalDamping:
     n_rigid: int = 0
 
     def _ratio_of(self, r: int) -> IntArray:
-        """Return the index in `ratios` of each of r modes."""
+        """Return, for each of r modes, the index of its ratio in `ratios`."""
         return np.clip(np.arange(r) - self.n_rigid, 0, len(self.ratios) - 1)
 
     def _zeta(self, values: FloatArray, r: int) -> FloatArray:
@@ -105,7 +106,7 @@ class ProportionalDamping:
         return np.concatenate([source.at(values) for source in self.ratios], axis=1)[:, self._ratio_of(r)]
 
     def rates(self, lam: FloatArray, values: FloatArray) -> Rates:
-        """Return the damping of modes with eigenvalues `lam` (n, r) in ascending order, at values (n, q)."""
+        """Return the damping of modes with eigenvalues `lam` (n, r) in ascending order, for values (n, q)."""
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         beta, loss = self.beta.at(values), self.loss.at(values)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -120,7 +121,7 @@ class ProportionalDamping:
     def pull_back(
         self, lam: FloatArray, values: FloatArray, viscous: FloatArray, hysteretic: FloatArray
     ) -> FloatArray:
-        """Return the derivatives by the damping parameters, (n, q), given those by c_r and h_r, (n, r) each."""
+        """Return derivatives with respect to damping parameters, (n, q), given those over c_r and h_r, (n, r)."""
         found = np.zeros(values.shape)
         omega = np.sqrt(np.maximum(lam, 0.0))
         for source, part in (
@@ -137,7 +138,7 @@ class ProportionalDamping:
         return found
 
     def slopes(self, lam: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of c_r and of h_r by the damping parameters, each of shape (n, r, q)."""
+        """Return the derivatives of c_r and of h_r with respect to the damping parameters, (n, r, q) each."""
         n, r = lam.shape
         viscous, hysteretic = np.zeros((n, r, self.n_values)), np.zeros((n, r, self.n_values))
         omega = np.sqrt(np.maximum(lam, 0.0))
@@ -158,7 +159,7 @@ class ProportionalDamping:
         """Return the divided differences C_rs of c and E_rs of h between all modes, each of shape (n, r, r).
 
         Between modes of equal ratio, C is exact however close the eigenvalues are. Modes of different ratios at
-        the same eigenvalue have no divided difference; their ratios are then taken as equal.
+        the same eigenvalue have no divided difference; their ratios are then treated as equal.
         """
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         total = omega[:, :, None] + omega[:, None]
@@ -264,7 +265,7 @@ class ModalResponses:
         return self.damping.differences(self.lam, self.values, self.rates)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L by the parameters of the structure, (n, p), and of the damping, (n, q)."""
+        """Return the derivatives of L over the structural parameters, (n, p), and over the damping, (n, q)."""
         T, square, turned, of_viscous = self._sums
         A = self.amplitudes
         viscous = -np.sum(A * of_viscous, axis=1)
@@ -299,7 +300,10 @@ class ModalResponses:
         return one, np.swapaxes(one, 1, 2)
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
-        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω: by the structure, then by the damping."""
+        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω.
+
+        The derivatives are with respect to the p structural parameters, and then the q damping parameters.
+        """
         x, y = self._resonances(omega)
         g = x + 1j * y
         dK, dM = self.block.changes(self.theta, self.phi)

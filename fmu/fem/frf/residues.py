@@ -1,4 +1,4 @@
-"""The responses of modes with frequencies of their own: residues and eigenvalues, and their derivatives.
+"""Residues and eigenvalues of modes, and their derivatives, for responses with modified frequencies of the modes.
 
 With mass-normalised shapes φ_r, the receptance between the points j and k is H_jk = Σ_r A_r g_r with the residues
 A_r = φ_jr φ_kr (`fmu.fem.frf.proportional`). For changes dK, dM in the coordinates of the modes,
@@ -22,14 +22,14 @@ from fmu.types import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Residues:
-    """Eigenvalues and residues of r modes at n parameter vectors, with derivatives by p structural parameters.
+    """Eigenvalues and residues of r modes at n parameter vectors, with derivatives over p structural parameters.
 
     Attributes
     ----------
     lam, by_lam : ndarray, shapes (n, r) and (n, r, p)
         Eigenvalues in ascending order.
     amplitudes, by_amplitude : ndarray, shapes (n, n_frfs, r) and (n, n_frfs, r, p)
-        A. Modes whose eigenvalues nearly coincide do not mix.
+        The residues A. Their derivatives omit the mixing of modes whose eigenvalues nearly coincide.
     """
 
     lam: FloatArray
@@ -39,7 +39,7 @@ class Residues:
 
     @classmethod
     def of(cls, model: FRFModel, theta: FloatArray) -> Residues:
-        """Return the modes of a model at parameters of the structure, (n, p)."""
+        """Return the modes of a model for structural parameters (n, p)."""
         lam, phi = model.block.modes(theta, model.block.size)
         dK, dM = model.block.changes(theta, phi)
         seen = model.points @ phi
@@ -64,7 +64,7 @@ class Resonances:
     ----------
     g : ndarray of complex, shape (n, r, L)
     by_lam, by_viscous, by_hysteretic : ndarray of complex, shape (n, r, L)
-        Derivatives by the eigenvalue (through the damping too), and by the damping c_r and h_r.
+        Derivatives with respect to the eigenvalue (including its effect on the damping), and to c_r and h_r.
     """
 
     g: ComplexArray
@@ -76,7 +76,7 @@ class Resonances:
     def of(
         cls, damping: ProportionalDamping, lam: FloatArray, values: FloatArray, omega: FloatArray
     ) -> Resonances:
-        """Return the factors at eigenvalues (n, r), damping parameters (n, q) and lines (L,) in rad/s."""
+        """Return the factors for eigenvalues (n, r), damping parameters (n, q) and lines (L,) in rad/s."""
         rates = damping.rates(lam, values)
         lossy = rates.viscous[..., None] * omega + rates.hysteretic[..., None]
         g = 1.0 / (lam[..., None] - omega**2 + 1j * lossy)

@@ -1,10 +1,10 @@
 """Training of a basis for frequency response functions: modes and responses at points of the parameters' box.
 
-The basis contains the modes of the band, and undamped responses to unit forces at all points, at some frequencies
-of the band. The latter carry the part of all higher modes, so that no residual term is missing. As the responses
-to the drives and to the points of response are both in the basis, the error of a response function is a product of
-two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
-chapter 3).
+The basis contains the modes of the band, and the undamped responses to unit forces at all points, at some
+frequencies of the band. These responses contain the contribution of all higher modes, so that no residual term is
+missing. Because the basis has the responses to forces at both the drives and the response points, the error of a
+response function is a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
+Partial Differential Equations*, chapter 3).
 """
 
 from __future__ import annotations
@@ -121,10 +121,10 @@ def train(
 
     Notes
     -----
-    At each point, the receptances on the basis are compared with those on the basis enlarged by the modes and
-    responses of that point. Training ends when `_PASSES` points in succession agree, or after `_MOST_POINTS`. Then
-    the basis is truncated to the leading directions, as long as the errors at the points and at further ones
-    allow.
+    At each point, the receptances on the basis are compared with the receptances on the basis enlarged by the
+    modes and responses of that point. Training ends when `_PASSES` points in succession agree, or after
+    `_MOST_POINTS`. The basis is then truncated to as few leading directions as the errors at these and further
+    points allow.
     """
     centre = 0.5 * (lower + upper)
     if full.size <= EXACT_LIMIT:
@@ -205,8 +205,8 @@ def _truncate(
 ) -> ReducedBlock:
     """Return the block on the fewest directions with errors within the tolerance at the points.
 
-    The directions are those of the proper orthogonal decomposition of the responses at the points, in the energy
-    A, with the square root of the unit of the errors as weight: an error of a response function is a product of
+    The directions come from a proper orthogonal decomposition of the responses at the points, in the energy A. The
+    weights are square roots of the units of the errors, because an error of a response function is a product of
     the errors of two responses.
     """
     basis = whole.basis

@@ -189,7 +189,7 @@ class Block:
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
         """Return the products leftᵀ K_k φ, or leftᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m).
 
-        Without `left` (n, size, m) it is φ.
+        `left` has the shape (n, size, m); it is φ by default.
         """
         raise NotImplementedError
 
@@ -209,7 +209,7 @@ class Block:
         raise NotImplementedError
 
     def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
-        """Return Σ_p left_pᵀ K_k right_p, or of M_k, (n, n_terms, m), for left and right (n, size, m, q)."""
+        """Return Σ_p left_pᵀ K_k right_p, or with M_k if `of_mass`, (n, n_terms, m), from (n, size, m, q)."""
         raise NotImplementedError
 
     def _shape_slopes_along(
@@ -289,7 +289,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Picked:
-    """Map from shapes (n, size, m) to some of their degrees of freedom (q,), which other processes can receive."""
+    """A map from shapes (n, size, m) to some of their degrees of freedom (q,), for use in other processes."""
 
     dofs: IntArray
 
@@ -300,7 +300,7 @@ class Picked:
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """Map of shapes (n, size, m) by a matrix (q, size), which other processes can receive."""
+    """A map of shapes (n, size, m) by a matrix (q, size), for use in other processes."""
 
     matrix: FloatArray
 

@@ -90,12 +90,12 @@ def by_bordered_system(
     dK_phi, dM_phi : ndarray, shape (size, n_parameters)
         ∂K φ and ∂M φ.
     beside : ndarray, shape (size, q), optional
-        Shapes of other modes with this eigenvalue. The derivative has no part of them.
+        Shapes of other modes with this eigenvalue. The derivative has no component along them.
 
     Notes
     -----
-    The derivatives are NaN if the system is singular, as for a repeated eigenvalue without `beside`, and may be
-    infinite if it is so but for underflow.
+    The derivatives are NaN if the system is singular, as for a repeated eigenvalue without `beside`. They may be
+    infinite if only underflow keeps the system from being singular.
     """
     # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
     # system regular. The border is scaled to the size of K, so that all entries have one scale.

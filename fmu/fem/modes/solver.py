@@ -127,7 +127,7 @@ class ScaledFactor:
 
 
 class LastFactor:
-    """The factors of a block's stiffness at the last theta for which they were made. A copy or pickle has none.
+    """The factors of a block's stiffness at the last theta where they were computed. A copy has none.
 
     Attributes
     ----------
@@ -140,11 +140,11 @@ class LastFactor:
         self.factor: ScaledFactor | None = None
 
     def __reduce__(self) -> tuple[type[LastFactor], tuple[()]]:
-        """Return the call that makes an empty one: factors cannot be pickled."""
+        """Return a call that makes an object without factors, because factors cannot be pickled."""
         return LastFactor, ()
 
     def at(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
-        """Return the factors at theta (n_parameters,), from `make` unless they are kept; None if it gives none."""
+        """Return the factors at theta (n_parameters,), kept or from `make`; None if `make` returns None."""
         if self._at != theta.tobytes():
             self._at = self.factor = None  # before the next factors take memory
             self.factor = make()

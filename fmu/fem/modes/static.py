@@ -41,7 +41,7 @@ class MassMoments:
     ----------
     model : SeparableModel
     start : ndarray, shape (n_parameters,)
-        Parameters at which the direction is chosen: the one of x, y, z along which the most mass moves.
+        Parameters for which the direction is chosen: the one of x, y, z along which most mass moves.
     with_centre : bool
         Whether the centre of gravity is needed too, which requires the model's geometry.
 

@@ -58,7 +58,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Return why the full model fails, which also replaces a failed reduced model; None if it does not fail."""
+    """Return why the full model, which also replaces a failed reduced model, fails; None if it does not fail."""
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():
         block: Any = model.blocks[b]

@@ -158,7 +158,7 @@ class PairedBlackBox(ModalModel):
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why there are no frequencies at theta (n_parameters,): a failure or a missing mode; else None."""
+        """Return why there are no frequencies at theta (n_parameters,), a failure or a missing mode, or None."""
         solve = self.black_box.solved.recall(theta)
         if solve is None or solve.reason:
             return None if solve is None else solve.reason

@@ -1,4 +1,4 @@
-"""A part of what a model gives: some of its modes at some of its sensors."""
+"""A model restricted to some of its modes and some of its sensors."""
 
 from __future__ import annotations
 

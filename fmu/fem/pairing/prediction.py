@@ -38,7 +38,7 @@ class ModalPrediction:
         Variances of the errors of a surrogate, independent of each other; None if the model is no surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
     frequency_variance_by_noise : ndarray, shape (n, n_modes, n_noise), or None
-        Derivatives by the inferred standard deviations, on which the variances of a discrepancy depend.
+        Derivatives with respect to inferred standard deviations, on which a discrepancy's variances depend.
     """
 
     frequencies: FloatArray

@@ -110,7 +110,7 @@ class SensitivitiesByDifferences(Sensitivities):
 
 
 class JoinedSensitivities(Sensitivities):
-    """Sensitivities of a batch, of which other models or other batches have solved the rows.
+    """Sensitivities of a batch whose rows were solved by different models or in different batches.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Matrices that a program exports in runs of its own: the stiffness and mass of one property group at a time.
 
-Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its start value and all others have a thousandth of
-theirs. Then K_j is a difference of two exports, in which the other terms, and with them their rounding errors, are
-a thousand times smaller than in K(θ). The others are not zero: programs refuse elements without stiffness, and
-leave out rows without it.
+Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its starting value, and all others have a thousandth
+of theirs. Then K_j is a difference of two exports, in which the other terms, and with them their rounding errors,
+are a thousand times smaller than in K(θ). The others are not zero, because programs refuse elements without
+stiffness and omit rows without stiffness.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CHECKED = 0.75
 
 
 def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the values of unit runs: all at `UNIT`, each alone at its start, and at last all in between.
+    """Return the values of unit runs: all at `UNIT`, each alone at its starting value, and last all in between.
 
     The last run is for checking: it shows whether the matrices are linear in the parameters.
     """

@@ -36,7 +36,7 @@ class FoundFrequencies:
     ----------
     file : str
         In the folder of the run; ``{job}`` and ``{deck}`` stand for the deck's name, without and with its suffix.
-        ``output.txt`` has what the program prints.
+        ``output.txt`` contains the printed output of the program.
     pattern : str
         Regular expression with one group, the frequency in Hz; ``^`` and ``$`` match at every line.
 

@@ -5,8 +5,8 @@ If every term K_k is positive semidefinite, then
     K(θ) + s M(θ) ≥ α (K(θ̄) + s M(θ̄)),    α = min over the terms of c_k(θ) / c_k(θ̄)
 
 (the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for
-Parametrized Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box serves where
-no coefficient changes by more than a factor of some tens. Where a stiffness may vanish there are several.
+Parametrized Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box is enough if
+no coefficient changes by more than a factor of about 30. If a stiffness may vanish, there are several anchors.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ _BEYOND = 3
 
 
 class _Start(NamedTuple):
-    """What the iterations at one point start from.
+    """The initial data of the iterations at one point.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class _Start(NamedTuple):
     alpha : float
         The factor α of the bound A ≥ α Ā.
     n_wanted, n_converged : int
-        Numbers of modes that are computed, and that must converge.
+        Number of modes that are computed, and number of modes that must converge.
     """
 
     theta: FloatArray
@@ -110,7 +110,7 @@ class ConfirmedBlock(FullBlock):
         return found if self._is_complete else {}
 
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
-        """Return the start of the iterations at theta (1, p); None if there is none."""
+        """Return the initial data of the iterations at theta (1, p); None if there are none."""
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
         (best,), (alpha,) = self._anchors.nearest(theta, space)

@@ -88,10 +88,10 @@ class Cost:
 
 
 def memory_in_words(model: SeparableModel) -> str:
-    """Return the sentence on the memory of a run with a reduced model; empty if no block keeps its factors.
+    """Return a sentence on the memory of a run with a reduced model; empty if no block keeps its factors.
 
-    The sentence says if less is free. The numbers behind it are those of frames, solids and shells in the study of
-    large structures, whose peaks it meets within a fifth.
+    The sentence says so if less memory is free. The constants come from frames, solids and shells in the study of
+    large structures; the estimates agree with the measured peaks within a fifth.
     """
     kept = [model.last_factor(dofs).factor for dofs in model.blocks if len(dofs) >= LARGE]
     of_factors = sum(factor.n_bytes for factor in kept if factor is not None)

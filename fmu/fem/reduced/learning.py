@@ -199,7 +199,7 @@ class Learner:
         The modes are compressed by proper orthogonal decomposition in the inner product of Ā, in which the energy
         of an error is the relative error of λ. The space has as many vectors as the worst points need. Weights
         reduce the largest errors (`balance_directions`), and modes have a larger weight where the allowed error is
-        smaller. A mode close above the highest needed mode may swap order with it nearby, and counts as needed.
+        smaller. A mode just above the highest needed mode may swap order with it nearby, and counts as needed.
         """
         space, theta = self.space, self.theta
         lam, y = self.solve_visited()
@@ -335,9 +335,9 @@ def snapshot_basis(
 
 
 def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -> int:
-    """Return the smallest size above `low` and at most `high` that is enough, searched for from a guess.
+    """Return the smallest size above `low` and at most `high` that is enough, searched from a guess.
 
-    `high` counts as enough.
+    `high` is assumed to be enough.
     """
     step = 1 + guess // 64
     size = guess

@@ -28,7 +28,10 @@ _TOGETHER = 32  # vectors of a space whose right-hand sides are solved together
 
 @dataclass(frozen=True, eq=False)
 class SharedResiduals:
-    """The products of all right-hand sides of one block. Index v T + t is of vector v and term t, K before M.
+    """Inner products of the residuals' right-hand sides for one block, computed once.
+
+    The right-hand side with the index v T + t is matrix term t times basis vector v; stiffness terms come before
+    mass terms.
 
     Attributes
     ----------
@@ -38,7 +41,7 @@ class SharedResiduals:
     mass : ndarray, shape (n_mass_terms, r T, r T)
         The forms Wᵀ M_l W.
     W : tuple of ndarray, each of shape (n_dof, q T)
-        The solutions W = Ā⁻¹ R, in strips; empty if the space is final.
+        The solutions W = Ā⁻¹ R, in groups of columns; empty once the basis is final.
     """
 
     block: FullBlock

@@ -76,8 +76,7 @@ class Training:
 
     Notes
     -----
-    What takes long is solved in the workers of an engine within `FullBlock.spread_over`. The result does not
-    depend on it.
+    Within `FullBlock.spread_over`, long solves run in the workers of an engine. The result does not depend on it.
     """
 
     full: BlockModel[FullBlock]
@@ -105,7 +104,7 @@ class Training:
         self._seed, self._cut_seed, self._cut_share = 0, _CUTS, _CUT
 
     def run(self) -> Trained:
-        """Train until errors at fresh points, corners and faces included, fit the tolerance and full solves agree.
+        """Train until errors at fresh points, corners and faces included, are small and full solves agree.
 
         Training ends without success after the last round, when it has cost as much as `BUDGET` full solves, or
         when the basis would be larger than `affordable`; the basis is then truncated to that size.

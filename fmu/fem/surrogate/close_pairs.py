@@ -75,7 +75,7 @@ class ClosePairs:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of z and of its variance, (n, n_modes, n_parameters) each; see `values`.
 
-        dy and dv are the derivatives of y and v by the parameters, of the same shape.
+        dy and dv are the derivatives of y and v with respect to the parameters, of the same shape.
         """
         dz, dz_variance = dy.copy(), dv.copy()
         for i in self.first:

@@ -210,7 +210,7 @@ def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
 
 
 def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
-    """Return value and variance at x, and their derivatives by theta; None for these if `by_theta` is None."""
+    """Return value and variance at x, with their derivatives over theta; None for these if `by_theta` is None."""
     if by_theta is None:
         return *process.predict(x), None, None
     value, variance, slopes, by_variance = process.predict_with_slopes(x)
