@@ -1,7 +1,7 @@
 """Bayesian finite-element model updating.
 
-Measured vibration modes and a finite-element model give a posterior over the model's uncertain parameters; several
-Markov-chain samplers draw from it, and the diagnostics say how far each of them can be trusted::
+Measured vibration modes and a finite-element model give a posterior distribution of the model's uncertain
+parameters. Several Markov chain samplers draw from it, and diagnostics say how far each can be trusted::
 
     problem = fmu.cases.load("cantilever-young")
     trace = fmu.sample(problem, "hmc", draws=1000, warmup=1000, chains=4, seed=1)
@@ -17,7 +17,7 @@ __all__ = sorted((*__all__, "__version__"))
 
 
 def __getattr__(name: str) -> object:
-    """Import the public name `name` when it is first used."""
+    """Import a public name when it is first used."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "__version__":
@@ -28,5 +28,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the list of the public names, whether imported or not."""
+    """Return the list of public names, whether imported or not."""
     return list(__all__)

@@ -1,4 +1,4 @@
-"""Entry point of ``python -m fmu``, which runs the command ``fmu``."""
+"""Entry point of ``python -m fmu``, which runs the ``fmu`` command."""
 
 from fmu.cli import main
 

@@ -1,9 +1,9 @@
 """Checks that the arguments of public functions and classes match their annotations.
 
-`check_arguments` wraps a public function, or the constructor of a public class. The annotations are the rules:
+`check_arguments` wraps a public function or the constructor of a public class. The annotations are the rules:
 ``float`` requires a finite number, ``Positive`` a positive number, ``Literal`` one of the listed words, and
 ``Sequence[Parameter]`` a sequence of parameters. A string in the metadata of ``Annotated`` is advice that is
-appended to the error message. Rules that annotations cannot express, for example that an upper bound exceeds a
+appended to the error message. Rules that annotations cannot express, for example that an upper bound must exceed a
 lower bound, are checked by the function itself.
 """
 
@@ -31,7 +31,7 @@ _FILES = {
     "UpdatingProblem": "fmu.load",
     "DataTree": "fmu.load_trace",
 }
-"""The function that loads an object, by the class of the object; the message names it if a path was given."""
+"""Function that loads an object, by the class of the object; named in the message if a path was given instead."""
 
 
 Bound = Annotated[float, Unbounded()]
@@ -51,19 +51,19 @@ else:
 
 
 class ArgumentError(ValueError):
-    """Error for an invalid argument, or an invalid key in a file: ``key: rule (got value)`` and advice.
+    """Raised for an invalid argument or file key; its message is ``key: rule (got value)``, then advice.
 
     Attributes
     ----------
     key : str
-        The argument or key, with its parts separated by dots, as in ``frequencies_hz.2``; empty if the error
-        does not concern a single key.
+        The argument or key, with parts separated by dots, as in ``frequencies_hz.2``; empty if the error does not
+        concern a single key.
     rule : str
         The rule that the value must satisfy.
     value : str
-        The value received, as the message shows it; empty if the message shows no value.
+        The value received, as shown in the message; empty if it is not shown.
     advice : str
-        The rest of the message, for example how to correct the error.
+        The rest of the message, such as how to correct the error.
     """
 
     def __init__(self, key: str, rule: str, value: object = "", advice: str = "") -> None:
@@ -76,7 +76,7 @@ class ArgumentError(ValueError):
 
     @classmethod
     def of(cls, error: Exception) -> ArgumentError:
-        """Return `error` as an ArgumentError; the text of another exception becomes a rule with an empty key."""
+        """Return `error` as an ArgumentError; the message of other exceptions becomes a rule with an empty key."""
         return error if isinstance(error, ArgumentError) else ArgumentError("", str(error))
 
     def at(self, key: str) -> Self:
@@ -84,23 +84,23 @@ class ArgumentError(ValueError):
         return type(self)(key, self.rule, self.value, self.advice)
 
     def under(self, place: str) -> Self:
-        """Return a copy of the error whose key is prefixed: ``lower`` under ``parameters.1``."""
+        """Return a copy of the error with its key prefixed, such as ``parameters.1.lower`` from ``lower``."""
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
-        """Return the error with `old` replaced by `new` if `old` is its key or the first part of its key."""
+        """Return the error with `old` replaced by `new` if `old` is its key or the beginning of its key."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
 
 
 class MissingFileError(ArgumentError, FileNotFoundError):
-    """Error for a file that does not exist or cannot be read, named by an argument or a key in a file."""
+    """Raised if a file, named by an argument or a key in a file, does not exist or cannot be read."""
 
     __new__ = FileNotFoundError.__new__  # type: ignore[assignment]  # its instances are larger than those of ValueError
 
 
 class _ByName(type):
-    """A stand-in for a class that is imported for type checking only; it recognises instances by class name."""
+    """Substitute for a class that is imported only for type checking; it recognises instances by class name."""
 
     def __instancecheck__(cls, instance: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(instance).__mro__)
@@ -115,7 +115,7 @@ class _ByName(type):
 
 
 class _Names(dict[str, object]):
-    """The namespace for evaluating annotations: module globals, builtins, `fmu.types` and stand-ins."""
+    """Namespace in which annotations are evaluated: module globals, builtins, `fmu.types` and substitutes."""
 
     def __missing__(self, name: str) -> object:
         if name in vars(builtins):
@@ -126,7 +126,7 @@ class _Names(dict[str, object]):
 
 
 def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
-    """Return a function or class that checks its arguments against their annotations at every call.
+    """Wrap a function or class to check its arguments against their annotations at every call.
 
     An invalid argument raises a ValueError ``name: must be … (got …)``. A missing or unexpected argument raises a
     TypeError, as usual in Python.
@@ -151,11 +151,11 @@ def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
 
 
 class OldNameWarning(FutureWarning):
-    """Warning for an argument, or a key in a file, that has another name now."""
+    """Warning about an argument or a key in a file that has been renamed."""
 
 
 def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> dict[str, Any]:
-    """Return arguments, or a table of a file, with `present` names in place of old ones; warn of each old name."""
+    """Return arguments, or a table of a file, with old names replaced by present ones; warn of each old name."""
     old = [name for name in present if name in given and present[name] not in given]
     for name in old:
         text = f"{name} is now called {present[name]}: the old name still works; please replace it"
@@ -164,7 +164,7 @@ def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> 
 
 
 def takes_old_names[Door: type](**present: str) -> Callable[[Door], Door]:
-    """Return a decorator of a class that takes arguments by their old names too, with an `OldNameWarning`."""
+    """Return a class decorator that also accepts arguments by their old names, with an `OldNameWarning`."""
 
     def decorate(door: Door) -> Door:
         init = door.__init__  # type: ignore[misc]
@@ -180,7 +180,7 @@ def takes_old_names[Door: type](**present: str) -> Callable[[Door], Door]:
 
 
 def require(name: str, value: object, rule: object) -> None:
-    """Raise ValueError unless a value matches an annotation."""
+    """Raise ValueError unless a value conforms to an annotation."""
     _require(name, value, Rule.of(rule))
 
 
@@ -191,7 +191,7 @@ def _require(name: str, value: object, rule: Rule) -> None:
 
 
 def shown(value: object) -> str:
-    """Return the text of a value for a message, as one line of at most 80 characters."""
+    """Return a value as text for a message, in one line of at most 80 characters."""
     try:
         text = " ".join(repr(value).split())
     except Exception:  # whatever the user's own __repr__ raises
@@ -201,7 +201,7 @@ def shown(value: object) -> str:
 
 @cache
 def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
-    """Return the signature of a function, and a dict of the rule of each annotated argument."""
+    """Return the signature of a function, and the rule of each annotated argument by name."""
     signature = inspect.signature(door)
     arrays = dict.fromkeys(("ArrayLike", "FloatArray", "IntArray"), Numbers)
     names = _Names({"os": os} | door.__globals__ | arrays)
@@ -215,7 +215,7 @@ def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
 
 
 def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
-    """Return the error if a value breaks a rule; otherwise None."""
+    """Return the error if a value breaks a rule; None if it does not."""
     if rule.pick(OwnRule):
         return None
     options = rule.options
@@ -237,7 +237,7 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 
 
 def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]:
-    """Yield the error of each entry of a sequence or a mapping, or None for a valid entry."""
+    """Yield, for each entry of a sequence or mapping, its error, or None if it is valid."""
     origin, of = get_origin(rule.form), rule.parts
     if origin is tuple and of and of[-1].form is not Ellipsis:
         if len(value) != len(of):
@@ -257,7 +257,7 @@ def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]
 
 
 def _advice(value: object, rule: Rule) -> str:
-    """Return the advice on a value after a semicolon; an empty string if there is no advice."""
+    """Return the advice about a value, after a semicolon; empty if there is none."""
     said = rule.pick(str)
     if isinstance(value, str | os.PathLike):
         names = [name_of(one.form) for one in rule.options or [rule]]

@@ -1,4 +1,4 @@
-"""The test whether points are inside a box, such as the bounds of the parameters."""
+"""Test of whether points are inside a box, such as the bounds of the parameters."""
 
 from __future__ import annotations
 

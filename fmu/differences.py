@@ -12,8 +12,8 @@ def both_sides(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the points on both sides of each centre along every coordinate, and the distances between them.
 
-    A point that would leave the box is moved to its boundary. If the centre itself is outside the box, the centre
-    takes the place of the point farther outside.
+    A point outside the box is moved to the boundary. If the centre itself is outside, the point farther outside is
+    replaced by the centre.
 
     Parameters
     ----------

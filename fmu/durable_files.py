@@ -1,4 +1,4 @@
-"""Atomic writing of files, and checksums that reveal later damage."""
+"""Atomic writing of files, and checksums that detect later damage."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ _DIGEST = 64  # hexadecimal digits of SHA-256
 
 
 class DamagedError(ValueError):
-    """Error for a file whose content has changed since it was written."""
+    """Raised if the content of a file has changed since it was written."""
 
 
 def write_durably(path: Path, content: bytes | memoryview) -> None:
-    """Write a file so that it has either its old or its complete new content, even after a power failure.
+    """Write a file such that even a power failure leaves either its old or its complete new content.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def write_durably(path: Path, content: bytes | memoryview) -> None:
 
 
 def append_durably(path: Path, content: bytes) -> None:
-    """Append to a file, creating it if necessary; if the process is killed, only `content` can be truncated."""
+    """Append to a file, creating it if necessary; if the process is killed, only `content` may be truncated."""
     with open(path, "ab") as file:
         file.write(content)
         file.flush()
@@ -45,7 +45,7 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 def make_directory(path: Path) -> None:
-    """Create a directory if it does not exist, so that it still exists after a power failure."""
+    """Create a directory, unless it exists, in such a way that it survives a power failure."""
     if not path.is_dir():
         path.mkdir()
         sync_directory(path.parent)
@@ -57,12 +57,12 @@ def digest(content: bytes) -> str:
 
 
 def add_checksum(title: str, payload: bytes) -> bytes:
-    """Return the content of a file: its title, the checksum of the payload, and the payload."""
+    """Return the content of a file: a title, the checksum of the payload, and the payload."""
     return f"{title}\n{digest(payload)}\n".encode() + payload
 
 
 def payload_of(title: str, content: bytes) -> bytes:
-    """Return the payload of a file's content that `add_checksum` returned.
+    """Return the payload from the file content that `add_checksum` returned.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Interruption by Ctrl-C (SIGINT) or by a batch system (SIGTERM), which stops the work within seconds."""
+"""Interruption by Ctrl-C (SIGINT) or by a batch system (SIGTERM), after which work stops within seconds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 GRACE_S = 1.0
-"""Time in s that the current step may still take after a stop was requested."""
+"""Time in s that the current step is allowed after a stop was requested."""
 _Handler = Callable[[int, FrameType | None], None]
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HAS_TIMER = os.name == "posix"
@@ -25,9 +25,9 @@ class _Stop:
     asked : bool
         Whether a signal has been received.
     due : bool
-        Whether a KeyboardInterrupt is to be raised, if necessary after the end of the last `shielded` block.
+        Whether a KeyboardInterrupt has yet to be raised, perhaps at the end of the outermost `shielded` block.
     polling, shields : int
-        Number of nested `interruptible` blocks, and of nested `shielded` blocks.
+        Numbers of nested `interruptible` and nested `shielded` blocks.
     """
 
     def __init__(self) -> None:
@@ -36,11 +36,11 @@ class _Stop:
         self.before: dict[int, _Handler | int | None] = {}
 
     def listen(self, number: int) -> None:
-        """Install the handler for a signal, and store the previous handler."""
+        """Install the handler for a signal, and remember the previous handler."""
         self.before.setdefault(number, signal.signal(number, self.hear))
 
     def wait_no_longer(self) -> None:
-        """Stop the timer that interrupts a long step."""
+        """Cancel the timer that would interrupt a long step."""
         if _HAS_TIMER and signal.SIGALRM in self.before:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
@@ -64,7 +64,7 @@ class _Stop:
         self.obey()
 
     def obey(self) -> None:
-        """Raise the KeyboardInterrupt that is due, unless a block is shielded from it."""
+        """Raise any pending KeyboardInterrupt, unless a block is shielded from it."""
         if self.due and not self.shields:
             self.due = False
             raise KeyboardInterrupt
@@ -75,9 +75,9 @@ _current: _Stop | None = None
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let SIGINT and SIGTERM raise a KeyboardInterrupt at once, except in `interruptible` and `shielded` blocks.
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt at once, except in `interruptible` and `shielded` blocks.
 
-    Only the main thread handles signals: in another thread, or inside another such block, this does nothing.
+    Only the main thread handles signals, so this does nothing in another thread, nor inside another such block.
     """
     with _listening():
         yield
@@ -85,10 +85,10 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns True after SIGINT or SIGTERM, so that work can stop between two steps.
+    """Yield a function that returns True once SIGINT or SIGTERM was received, for work that stops between steps.
 
-    A step that takes longer than `GRACE_S` after the signal is interrupted by a KeyboardInterrupt, where the
-    system has a timer; a second signal interrupts at once. Blocks can be nested: one signal stops all of them.
+    If a step takes longer than `GRACE_S` after the signal, a KeyboardInterrupt interrupts it, provided that the
+    system has a timer. A second signal interrupts at once. Blocks can be nested: one signal stops all of them.
     Outside the main thread the function always returns False.
     """
     with _listening() as stop:
@@ -111,7 +111,7 @@ def is_asked() -> bool:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Delay a KeyboardInterrupt to the end of a block that must leave files and memory consistent."""
+    """Delay a KeyboardInterrupt until the end of a block that must leave files and memory consistent."""
     stop = _current if threading.current_thread() is threading.main_thread() else None
     if stop is None:
         yield
@@ -126,7 +126,7 @@ def shielded() -> Iterator[None]:
 
 @contextmanager
 def _listening() -> Iterator[_Stop | None]:
-    """Install the handlers unless already installed, and yield them; yield None outside the main thread."""
+    """Install the handlers if necessary, and yield them; yield None outside the main thread."""
     global _current
     if threading.current_thread() is not threading.main_thread():
         yield None

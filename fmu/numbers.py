@@ -1,7 +1,7 @@
 """Formatting of numbers for readers, with as many digits as the uncertainty justifies.
 
-Values that differ are shown with enough digits to look different. Every number in a message, table, page or label
-is formatted by this module; data files keep all digits.
+Values that differ are shown with enough digits to look different. This module formats every number in a message,
+table, page or label; data files keep all digits.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import NamedTuple, SupportsInt
 MISSING = "–"
 _MOST_DECIMALS, _MOST_DIGITS = 12, 15
 _SMALLEST, _LARGEST = 1e-4, 1e7
-"""Range of numbers written in decimal notation; numbers outside it have a power of ten."""
+"""Range of numbers written in decimal notation; numbers outside it are written with a power of ten."""
 _AS_WRITTEN = 10
-"""Largest number of digits of a value that was typed in; values with more digits were computed."""
+"""Largest number of digits of a value that was entered by a user; values with more digits were computed."""
 _FREQUENCY_DIGITS = 6
 _FEW = 1e-4
 
@@ -30,30 +30,30 @@ _SHOWN = {
 
 
 class Unit(NamedTuple):
-    """A unit for display: dividing a number in SI units by `factor` gives the number in the unit `name`."""
+    """A unit for display; a number in SI units divided by `factor` is in the unit `name`."""
 
     factor: float
     name: str
 
     def label(self, quantity: str) -> str:
-        """Return an axis label, such as ``"E1 / GPa"``; the quantity alone if it has no unit."""
+        """Return an axis label, such as ``"E1 / GPa"``, or only the quantity if it has no unit."""
         return f"{quantity} / {self.name}" if self.name else quantity
 
 
 def customary_unit(unit: str) -> Unit:
-    """Return the customary unit for numbers in the SI unit `unit`: `unit` itself if no other is customary."""
+    """Return the unit customarily used instead of the SI unit `unit`, or `unit` itself if there is none."""
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
 def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
-    """Format a value in an SI unit in its customary unit, to the digits that `sd` supports: ``"170 GPa"``."""
+    """Format a value, given in an SI unit, in its customary unit, with digits justified by `sd`: ``"170 GPa"``."""
     factor, name = customary_unit(unit)
     value, sd = value / factor, sd / factor
     return f"{given(value) if math.isnan(sd) else round_by_sd(value, sd)} {name}".rstrip()
 
 
 def decimals(spread: float) -> int:
-    """Return the number of decimals that shows two significant digits of a standard deviation."""
+    """Return the number of decimals needed to show two significant digits of a standard deviation."""
     if not (math.isfinite(spread) and spread > 0):
         return 3
     return min(_MOST_DECIMALS, max(0, -_last_place(spread, 2)))
@@ -65,7 +65,7 @@ def fixed(value: float | None, places: int) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Format a number of unknown uncertainty with at most `digits` significant digits; a dash for None and NaN."""
+    """Format a number of unknown uncertainty to at most `digits` significant digits; None and NaN give a dash."""
     if value is None or not math.isfinite(value):
         return MISSING if value is None else _infinite(value)
     text = f"{value:.{digits}g}"
@@ -77,7 +77,7 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def round_by_sd(value: float, sd: float, digits: int = 4) -> str:
-    """Format a value to the decimal place of the second significant digit of its standard deviation.
+    """Format a value, rounded to the second significant digit of its standard deviation.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
     digits : int
         Number of significant digits of the largest value if `sd` is unknown.
     most : int
-        Largest number of digits of the largest value; values that agree to this digit may look the same.
+        Largest number of digits of the largest value; values that differ only beyond it may look the same.
 
     Returns
     -------
@@ -137,9 +137,9 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
 
 
 def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
-    """Format computed frequencies in Hz to at least 0.1 Hz, with up to six digits if needed to tell them apart.
+    """Format computed frequencies in Hz to 0.1 Hz or finer, with up to six digits if needed to tell them apart.
 
-    With a `measured` frequency, the texts have at least as many decimals as the measured one.
+    If `measured` is given, at least as many decimals are shown as in the measured frequency.
     """
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     digits = min(max(4, _exponent(largest) + 2), _FREQUENCY_DIGITS)
@@ -165,7 +165,7 @@ def interval(lower: float, upper: float, places: int) -> str:
 
 
 def given(value: float) -> str:
-    """Format a value with the digits it was entered with: ``"0.912"``; a computed value to six digits."""
+    """Format a value with the digits with which it was entered, ``"0.912"``; a computed value gets six digits."""
     if not math.isfinite(value):
         return _infinite(value)
     digits = _digits(value)
@@ -173,7 +173,7 @@ def given(value: float) -> str:
 
 
 def typed(value: float) -> str:
-    """Format a number with all its digits, for a file or a command line: ``"1.5e+11"``, ``"-0.1"``."""
+    """Format a number with all its digits for a file or a command line: ``"1.5e+11"``, ``"-0.1"``."""
     short = f"{value:.6g}"
     return short if float(short) == value or math.isnan(value) else repr(float(value))
 
@@ -184,10 +184,10 @@ def _digits(value: float) -> int:
 
 
 def share(part: float, digits: int = 2) -> str:
-    """Format a share of a whole in per cent: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
+    """Format a share of a whole as a percentage: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    The share has `digits` significant digits, or more decimals if needed to show `digits` - 1 significant digits
-    of its complement, and never a power of ten.
+    The share has `digits` significant digits, or more if needed to show `digits` - 1 significant digits of its
+    complement, but never a power of ten.
     """
     if not math.isfinite(part):
         return MISSING
@@ -201,7 +201,7 @@ def share(part: float, digits: int = 2) -> str:
 
 
 def change(ratio: float) -> str:
-    """Format a relative change in per cent with its sign: ``"+2.54 %"``, ``"-0.07 %"``, ``"> -0.01 %"``.
+    """Format a relative change as a percentage with its sign: ``"+2.54 %"``, ``"-0.07 %"``, ``"> -0.01 %"``.
 
     The change has three significant digits, but at most two decimals.
     """
@@ -216,7 +216,7 @@ def change(ratio: float) -> str:
 
 
 def whole(value: SupportsInt | None) -> str:
-    """Format a whole number with its thousands separated; None, NaN and pandas' NA give a dash."""
+    """Format a whole number with thousands separated; None, NaN and pandas' NA give a dash."""
     if value is None or str(value) in ("nan", "<NA>"):
         return MISSING
     return f"{int(value):,}".replace(",", " ")
@@ -234,7 +234,7 @@ def listed(values: Iterable[float], digits: int = 3) -> str:
 
 
 def names_in_words(names: Sequence[str]) -> str:
-    """Return the names as a list in words: ``"a, b and c"``."""
+    """Join names to a list in words: ``"a, b and c"``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -244,7 +244,7 @@ def _exponent(value: float) -> int:
 
 
 def _last_place(value: float, digits: int) -> int:
-    """Return the power of ten of the last of `digits` significant digits of a value after rounding."""
+    """Return the power of ten of the last of `digits` significant digits of a value, after rounding."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2]) - digits + 1 if value else 0
 
 
@@ -268,13 +268,13 @@ def _infinite(value: float) -> str:
 
 
 def _power(text: str) -> str:
-    """Return a number with its power of ten written without a plus sign and leading zeros."""
+    """Return a formatted number without the plus sign and leading zeros of its power of ten."""
     mantissa, e, exponent = text.partition("e")
     return _drop_sign_of_zero(f"{mantissa}e{int(exponent)}" if e else mantissa)
 
 
 def _drop_sign_of_zero(text: str) -> str:
-    """Return a formatted number, without its minus sign if it is zero."""
+    """Return a formatted number, without the minus sign if it is zero."""
     if text.startswith("-") and not any(digit in "123456789" for digit in text.partition("e")[0]):
         text = text[1:]
     return text

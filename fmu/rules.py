@@ -1,4 +1,4 @@
-"""Rules derived from type annotations: tests of values against a rule, and rules in words for messages."""
+"""Rules derived from type annotations: checks of values against a rule, and the text of rules in messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class OwnRule:
 
 
 class Numbers:
-    """The type of the rule for ArrayLike and arrays: any value that NumPy converts to an array of numbers."""
+    """Type in the rule for ArrayLike and arrays: any value that NumPy converts to an array of numbers."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Rule:
 
     @cached_property
     def options(self) -> list[Rule]:
-        """The rules of the members of a union, at least one of which must hold; empty for any other type."""
+        """The rules of the members of a union, at least one of which must hold; empty for all other types."""
         is_union = self.origin in (Union, UnionType)
         return [Rule.of(one, self.marks) for one in get_args(self.form)] if is_union else []
 
@@ -66,18 +66,18 @@ class Rule:
         return [Rule.of(one) for one in get_args(self.form)]
 
     def pick[Mark](self, *kinds: type[Mark]) -> list[Mark]:
-        """Return the list of the metadata that are instances of the given classes."""
+        """Return the list of metadata that are instances of the given classes."""
         return [mark for mark in self.marks if isinstance(mark, kinds)]
 
     @cached_property
     def limits(self) -> list[tuple[str, float]]:
-        """The limits of a number as pairs of comparison and value, such as ``("gt", 0.0)``."""
+        """The limits on a number, as pairs of comparison and value, such as ``("gt", 0.0)``."""
         marks: list[Gt | Ge | Lt | Le | Interval] = self.pick(Gt, Ge, Lt, Le, Interval)
         return [(key, end) for mark in marks for key, end in asdict(mark).items() if end is not None]
 
 
 def is_kind(value: Any, rule: Rule) -> bool:
-    """Return True if a value is of the type of a rule that is not a union; the entries are not checked."""
+    """Return True if a value has the type of a rule that is not a union; entries are not checked."""
     origin = rule.origin
     if origin is Any:
         return True
@@ -129,7 +129,7 @@ def _is_numeric(value: object, rule: Rule) -> bool:
 
 @runtime_checkable
 class _Indexed(Protocol):
-    """A sequence, or an object that can be indexed like a sequence, such as an array."""
+    """A sequence, or an object such as an array that can be indexed like one."""
 
     def __len__(self) -> int: ...
 
@@ -137,7 +137,7 @@ class _Indexed(Protocol):
 
 
 class _Kind(NamedTuple):
-    """A type in words, and the test of its values.
+    """Description of a type in words, and the test that its values must pass.
 
     A value must be an instance of one of `classes` but of none of `others`, and `holds` must return True.
     """
@@ -176,7 +176,7 @@ _KINDS |= dict.fromkeys(_SEQUENCES, _Kind("a sequence", (_Indexed,), (str, bytes
 
 
 def in_words(rule: Rule) -> str:
-    """Return a rule in words, such as ``"a positive finite number or None"``."""
+    """Return a description of a rule, such as ``"a positive finite number or None"``."""
     origin, of = rule.origin, rule.parts
     if rule.options:
         parts = list(dict.fromkeys(map(in_words, rule.options)))
@@ -196,7 +196,7 @@ def in_words(rule: Rule) -> str:
 
 
 def name_of(kind: object) -> str:
-    """Return the name of a class, or the text of a type that has no name."""
+    """Return the name of a class, or the text of a type without a name."""
     return getattr(kind, "__name__", str(kind))
 
 

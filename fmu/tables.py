@@ -1,4 +1,4 @@
-"""Tables as pandas data frames, as text that fits a terminal, and in Markdown."""
+"""Tables as pandas data frames, as text that fits a terminal, and as Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 WIDTH = 100
 _GAP = "  "
 _NARROWEST = 12
-"""Smallest width in characters to which a column of words is wrapped."""
+"""Smallest width in characters to which a column of words is narrowed."""
 
 
 def data_frame(
@@ -42,8 +42,8 @@ def text_table(
 ) -> str:
     """Return a table as text, with columns as wide as their cells.
 
-    If the table would be wider than `width`, columns of words are wrapped. If that is not enough, the columns that
-    do not fit follow below, with the first column repeated.
+    If the table would be wider than `width`, columns of words are wrapped. If that is not enough, the remaining
+    columns follow below, with the first column repeated.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def text_table(
     rows : sequence of sequence of str
         Each row is as long as the header; its first cell names the row.
     words : collection of int
-        Indices of the columns of words, aligned to the left; numbers in other columns are aligned to the right.
+        Indices of columns of words, which are left-aligned; all other columns are right-aligned.
     width : int
         Largest width of the table in characters.
     """
@@ -62,14 +62,14 @@ def text_table(
 
 
 def wrap_text(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
-    """Return a text wrapped to lines of `width` characters, with the given indents; words are not broken."""
+    """Return a text wrapped to lines of `width` characters, with the given indents; long words are not broken."""
     return textwrap.fill(
         text, width, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
     )
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return a list of unique names, made by appending underscores to repeated names."""
+    """Return unique names, made by appending underscores to repeated names."""
     found: list[str] = []
     for name in names:
         while name in found:
@@ -79,7 +79,7 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list[int]:
-    """Return the widths of the columns, after narrowing columns of words until the table fits, if possible."""
+    """Return the column widths after narrowing columns of words until the table fits, if possible."""
     widths = list(widths)
     narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are easier to read on one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
@@ -91,7 +91,7 @@ def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list
 
 
 def _blocks(widths: list[int], width: int) -> list[list[int]]:
-    """Return lists of indices of columns that fit side by side; each list begins with the first column."""
+    """Return lists of the columns that fit side by side; each list begins with the first column."""
     blocks = [[0]]
     for column in range(1, len(widths)):
         taken = sum(widths[i] + len(_GAP) for i in blocks[-1])
@@ -122,8 +122,8 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: 
     header : sequence of str
     rows : iterable of sequence of str
     words : collection of int
-        Indices of the columns of words, aligned to the left; other columns are aligned to the right. Negative
-        indices count from the end.
+        Indices of columns of words, which are left-aligned; all other columns are right-aligned. Negative indices
+        count from the end.
 
     Raises
     ------

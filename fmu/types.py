@@ -1,4 +1,4 @@
-"""Types for annotations: arrays by the type of their entries, numbers in a range, the chain rule, a density."""
+"""Types for annotations: arrays by type of entry, numbers in a range, the chain rule, and a log-density."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
 """The direction of a degree of freedom: a displacement along or a rotation about an axis."""
 DIRECTIONS: tuple[str, ...] = get_args(Direction)
 Dof = tuple[Hashable, str]
-"""A degree of freedom or a sensor: its place (a node, or a name that is not a node) and its direction."""
+"""A degree of freedom or a sensor: its location (a node, or a name that is not a node) and its direction."""
 type Plain = bool | int | float | str | Sequence[Plain] | Mapping[str, Plain] | None
 """Data of plain Python types, as in a JSON file."""
 
@@ -54,12 +54,12 @@ class LogDensity(Protocol):
     upper: FloatArray
 
     def log_prob(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, a float for shape ``(ndim,)`` and shape ``(n,)`` for ``(n, ndim)``.
+        """Return the log-density, a float for shape ``(ndim,)`` and an array ``(n,)`` for shape ``(n, ndim)``.
 
         The log-density is ``-inf`` outside the box.
         """
         ...
 
     def log_prob_and_grad(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-density and its gradient, both with the leading shape of `theta`."""
+        """Return the log-density and its gradient, both with the leading axes of `theta`."""
         ...

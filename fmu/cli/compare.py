@@ -1,4 +1,4 @@
-"""The command ``fmu compare``: several samplers on one problem with one criterion, or the samplers of a run."""
+"""The command ``fmu compare``, which compares several samplers on one problem, or the samplers of a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.config.variants import VARIANTS
 from fmu.samplers.registry import COMPARED
 
 MAX_SOLVES = 300_000
-"""Default limit of solves: enough for emcee to pass its own tests on the built-in cantilevers."""
+"""Default limit on solves, enough for emcee to pass its own tests on the built-in cantilevers."""
 _LIKE_RUN = {"pairing", "seed", "overwrite", "chains", "starts", "workers", "progress", "reports"}
 
 
@@ -32,11 +32,11 @@ def _as_in_run(command: click.Command) -> click.Command:
 def compare(context: click.Context, case: str, out: Path | None, pairing: str | None, **orders: object) -> int:
     """Compare samplers on one problem, with emcee as the baseline.
 
-    Of a built-in problem or a TOML file, runs mh, slice, hmc, emcee and mixture, from one search for maxima, until
-    R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. Each goes on until it has
-    converged, which takes emcee further: a run of 50 autocorrelation times. Writes what fmu run writes, into
-    compare/CASE-PAIRING. Of the directory of a run, compares the traces that are there; of a directory that fmu
-    run --discrepancy all wrote, the discrepancies.
+    For a built-in problem or a TOML file, runs mh, slice, hmc, emcee and mixture after one search for maxima,
+    until R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. Each continues until it
+    has converged; emcee also needs a run of 50 autocorrelation times. Writes the same files as fmu run, into
+    compare/CASE-PAIRING. For the directory of a run, compares the traces in it; for a directory written by fmu run
+    --discrepancy all, compares the discrepancies.
     """
     if Path(case).is_dir():
         _compare_run(Path(case))

@@ -1,4 +1,4 @@
-"""Tables of losses between states of a structure on a terminal, and the command ``fmu damage``."""
+"""The command ``fmu damage``, and tables on a terminal of the losses between states of a structure."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 _WIDTH = 80
 BEYOND = (0.05, 0.1)
-"""Losses for which the probability of exceedance is printed."""
+"""Losses for which the probability of being exceeded is printed."""
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print losses, with values before and after, for each later state, and a warning if P is unreliable."""
+    """Print, for each later state, the losses with values before and after; warn if P is unreliable."""
     from fmu.analysis.trace.damage import (
         ANY,
         WITHHELD,
@@ -78,7 +78,7 @@ MODEL = click.option(
               show_default=True, help="Loss whose probability of being exceeded is wanted.")  # fmt: skip
 @SAMPLER
 def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> None:
-    """Print the losses of the run in DIRECTORY between states of the structure, and draw them (damage.png).
+    """Print the losses between states of the structure for the run in DIRECTORY, and draw them (damage.png).
 
     For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
     """

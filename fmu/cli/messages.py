@@ -1,4 +1,4 @@
-"""Messages on standard error: errors as one line without a traceback, and warnings of fmu as notes."""
+"""Messages on standard error: errors as one line without a traceback, and warnings from fmu as notes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fmu.config import ConfigurationError
 from fmu.engines.base import RunFailedError
 
 FAILED, BAD_INPUT, DEPARTED = 1, 2, 3
-"""Exit codes: the run failed or fell short; the input is wrong; a new test is not like the earlier ones."""
+"""Exit codes: the run failed or did not converge; the input is wrong; a new test departs from the earlier ones."""
 STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 
 
 class _Unbroken:
-    """Standard output that is discarded once its reader, such as ``head``, has ended; the command continues."""
+    """Wrapper of standard output that discards text once its reader, such as ``head``, has ended."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -30,7 +30,7 @@ class _Unbroken:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text."""
+        """Write text, or discard it if the reader has ended."""
         try:
             self._stream.write(text)
         except BrokenPipeError:
@@ -38,7 +38,7 @@ class _Unbroken:
         return len(text)
 
     def flush(self) -> None:
-        """Write buffered text."""
+        """Write buffered text, or discard it if the reader has ended."""
         try:
             self._stream.flush()
         except BrokenPipeError:
@@ -51,10 +51,10 @@ class _Unbroken:
 
 
 class Commands(click.Group):
-    """A group of commands that end with an exit code, and report an error on one line."""
+    """A group of commands that end with an exit code and report an error on one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands in the order of their use."""
+        """Return the names of the commands in the order in which they are used."""
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
@@ -84,7 +84,7 @@ class Commands(click.Group):
 
 
 def _of_system(error: OSError) -> str:
-    """Return a sentence on a system error with the file concerned and, if the disk is full, advice."""
+    """Return a sentence about a system error, with the file concerned and, if the disk is full, advice."""
     where = error.filename or "standard output, or a file of the output directory"
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return (
@@ -95,7 +95,7 @@ def _of_system(error: OSError) -> str:
 
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
-    """Print an error message on one line, and one line for each of the first errors in a file; exit."""
+    """Print an error message on one line, and the first errors of a file on one line each; then exit."""
     from fmu.formats.shown import list_mistakes, one_line
 
     click.echo(f"Error: {one_line(message)}", err=True)
@@ -106,7 +106,7 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print warnings on old names, stores, rounding and the like as notes, without their line of code."""
+    """Print warnings about old names, stores, rounding and the like as notes, without the line of code."""
     from fmu.arguments import OldNameWarning
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.reduction.train_reduced import ReductionWarning

@@ -1,4 +1,4 @@
-"""The command ``fmu predict``: whether new tests are what the earlier tests of a run let one expect."""
+"""The command ``fmu predict``, which tests whether new tests agree with the earlier tests of a run."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def predict(
 ) -> int:
     """Compare the new tests in CSV with the population of the earlier tests of the run in DIRECTORY.
 
-    CSV has a row per test with its name, group, covariates and frequencies, like a table for campaign in
+    CSV has one row per test with its name, group, covariates and frequencies, like a table for campaign in
     [[tests]]. A test departs if its p-value is at most --false-alarms. Results are added to
-    DIRECTORY/predictions.csv. Tests that are there already are not predicted again.
+    DIRECTORY/predictions.csv. Tests that are already there are not predicted again.
 
     The exit status is 0 if no new test departs, 3 if one does, 2 if the input is wrong, and 1 if the prediction
     failed.
@@ -103,7 +103,11 @@ def _predict(
     draws: int,
     false_alarms: float,
 ) -> pd.DataFrame:
-    """Return the table of `fmu.predict_tests`, and whether each test departs; `tests` are by their lines."""
+    """Return the table of `fmu.predict_tests`, extended by whether each test departs.
+
+    `tests` maps line numbers of the file to tests. Raise ConfigurationError if a test is wrong, and ValueError if
+    `false_alarms` is below the smallest p-value that the draws can give.
+    """
     from fmu.analysis.next_test import predict_tests
     from fmu.posterior.joint.modal_test import TestsError
 
@@ -124,7 +128,7 @@ def _predict(
 
 
 def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -> dict[int, Test]:
-    """Return a dict of the tests in a table by their lines; ConfigurationError if the table is wrong."""
+    """Return the tests in a table by line number; raise ConfigurationError if the table is wrong."""
     from fmu.formats.modes.csv import read_campaign
     from fmu.formats.modes.measured_modes import ModesError
     from fmu.posterior.data.modal_data import ModalData
@@ -147,7 +151,7 @@ def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -
 
 
 def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
-    """Return the cells of what was measured in a test, by column."""
+    """Return the measured data of a test as table cells, by column."""
     import numpy as np
 
     frequencies = np.asarray(test.data.frequencies_hz).tolist()
@@ -158,13 +162,13 @@ def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> dict[s
 
 
 def _text(value: object) -> str:
-    """Return a value as text from which the same value can be read."""
+    """Return a value as text from which the same value can be read back."""
     text = repr(value) if isinstance(value, float) else str(value)
     return text.lower() if isinstance(value, bool) else text
 
 
 def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> ConfigurationError:
-    """Return the errors of new tests at their lines of the table; of equal errors, the first one."""
+    """Return the errors in new tests with their line in the table; identical errors are reported once."""
     found: dict[str, ArgumentError] = {}
     for mistake in error.mistakes:
         where, _, rule = mistake.partition(": ")
@@ -175,7 +179,7 @@ def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> Configura
 
 
 def _echo_new(found: pd.DataFrame) -> None:
-    """Print a table with a row per new test, and the parameter of each departure."""
+    """Print a table with one row per new test, and the parameter of each departure."""
     header = ["new test", "p", "", "parameter", "change", "or"]
     rows = []
     for name, row in found.iterrows():
@@ -189,7 +193,7 @@ def _echo_new(found: pd.DataFrame) -> None:
 
 
 def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Diagnosis) -> None:
-    """Print a warning if slopes are extrapolated, and if the draws are not to be relied on."""
+    """Print a warning if slopes are extrapolated, or if the draws are not reliable."""
     from fmu.posterior.joint.varies.covariates import known_values
 
     for name in dict.fromkeys(role.where for role in problem.roles if role.kind == "slope"):
@@ -207,9 +211,9 @@ def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Di
 
 
 def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: float) -> None:
-    """Print how many tests have departed since the first prediction, and how many would by chance.
+    """Print the number of tests that have departed so far, and the number expected by chance.
 
-    `before` are the names of tests in the table that had been predicted before.
+    `before` contains the names of those tests in the table that had been predicted before.
     """
     rows = predictions.rows
     departed = [row["name"] for row in rows if row["departs"] == "true"]

@@ -1,4 +1,4 @@
-"""Commands on problem files, `cases`, `init`, `schema`, `check` and `plan`; and the loading of a problem."""
+"""Commands for problem files (`cases`, `init`, `schema`, `check` and `plan`), and the loading of problems."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
 
 
 def problem_of(case: str, pairing: str | None) -> KeptProblem:
-    """Return the problem file of a built-in case or of a user, read but not built, with the pairing to use.
+    """Return the problem file of a built-in case or of a user, with its pairing, before the problem is built.
 
     Raises
     ------
     click.BadParameter
         If `case` is neither a built-in case nor the name of a ``.toml`` file.
     ConfigurationError
-        If the file is broken.
+        If the file is invalid.
     FileNotFoundError
         If there is no such file.
     """
@@ -57,7 +57,7 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
 
 
 def build_problem(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
-    """Return the problem built from its file; an engine, if given, trains the reduced model."""
+    """Return the problem built from its file; if an engine is given, it trains the reduced model."""
     if sys.stderr.isatty():  # a large structure takes minutes, once
         click.echo(f"Preparing {problem.file.name} …", err=True)
     return problem.load(engine)

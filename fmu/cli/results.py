@@ -1,4 +1,4 @@
-"""Commands on the results of a run (``fmu report``, ``damage``, ``predict``, ``export``), and ``fmu paper``."""
+"""Commands for the results of a run (``fmu report``, ``damage``, ``predict``, ``export``), and ``fmu paper``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UPDATED = "updated.toml"
 @click.command()
 @damage.DIRECTORY
 def report(directory: Path) -> None:
-    """Write an HTML report on the run in DIRECTORY: report/index.html, and of several samplers a page each."""
+    """Write an HTML report on the run in DIRECTORY: report/index.html, and one page per sampler if several."""
     from fmu.report.pages import write_report
 
     click.echo(f"Written to {write_report(directory)}")

@@ -1,4 +1,4 @@
-"""The command ``fmu run``: its options, and the run from the options to the report."""
+"""The command ``fmu run``: its options, and the whole run up to the report."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ if TYPE_CHECKING:
 
 _FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate", "max_solves"}
-"""Options that may change when a run is resumed: the draws do not depend on them."""
+"""Options that may be changed when a run is resumed, because the draws do not depend on them."""
 
 ALL = "all"
-"""Value of ``--sampler`` that stands for all samplers that ``fmu compare`` runs."""
+"""Value of ``--sampler`` that selects all samplers that ``fmu compare`` runs."""
 _GARBAGE, _GARBAGE_OF_PAGES = 100_000, 1_000_000
-"""Numbers of new objects after which Python collects garbage: frequent collections take a tenth of a short run.
-When pages are written, nearly all new objects are small and in use."""
+"""Numbers of new objects after which Python collects garbage. Frequent collections would take a tenth of a short
+run. When pages are written, nearly all new objects are small and in use."""
 
 
 def _option[Command: Callable[..., object]](
     name: str, kind: click.ParamType | type | None, text: str, **more: Any
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds an option, with the default of an argument of `fmu.sample` of the same name."""
+    """Return a decorator that adds an option, with the default of the `fmu.sample` argument of the same name."""
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
         more |= {"default": default, "show_default": True}
@@ -162,7 +162,7 @@ def run(
 
 
 def _with_discrepancy(asked: KeptProblem, kind: str, folder: Path) -> KeptProblem:
-    """Return the problem with another discrepancy, its file written to a folder; ValueError if unsuitable."""
+    """Return the problem with another discrepancy, writing its file to a folder; ValueError if unsuitable."""
     file = folder / asked.file.name
     text = with_discrepancy(asked.file.read_text(encoding="utf-8-sig"), kind)
     file.write_text(text, encoding="utf-8")
@@ -181,7 +181,7 @@ def _run_once(
     cluster: str | None,
     progress: str,
 ) -> int:
-    """Run, or resume, in a directory; return the exit code."""
+    """Start or resume a run in a directory; return the exit code."""
     gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
         stack.enter_context(stoppable())
@@ -240,7 +240,7 @@ def _tell_stop(directory: Path, where: str = "") -> int:
 
 
 def _read_order(context: click.Context, case: str | None, pairing: str | None, orders: Orders) -> KeptProblem:
-    """Return the problem and the options of a new run; raise an error if options conflict."""
+    """Return the problem and options of a new run; raise UsageError or ValueError if options conflict."""
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
@@ -269,7 +269,7 @@ def _read_order(context: click.Context, case: str | None, pairing: str | None, o
 
 
 def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
-    """Return the problem and options of the run in a directory; BadParameter if a fixed option was changed."""
+    """Return the problem and options of the run in a directory; BadParameter if a fixed option has changed."""
     from fmu.runs.run_directory import folder_of_order
 
     default = ParameterSource.DEFAULT
@@ -296,9 +296,9 @@ def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> Ke
 def _begin_run(
     asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
 ) -> UpdatingProblem:
-    """Return the problem, and save the options of a new run, so that the run can be resumed.
+    """Return the problem; save the options of a new run, so that it can be resumed.
 
-    With --overwrite, options are saved only after the problem is built: an earlier run is kept if that fails.
+    With --overwrite, options are saved only after the problem is built, so an earlier run is kept if that fails.
     """
     if new and not overwrite:
         running.begin(asked)
@@ -317,7 +317,7 @@ def _begin_run(
 
 
 def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> None:
-    """Print an estimate of the time and the solves that the run will take."""
+    """Print an estimate of the time and number of solves that the run will take."""
     from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts
 
@@ -328,7 +328,7 @@ def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> No
 
 @contextmanager
 def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
-    """Yield the report of progress that `progress` selects, and note the phases in the directory of the run."""
+    """Yield the progress callback that `progress` selects, and note the phases in the run's directory."""
     with ExitStack() as stack:
         report: Report | None = None
         if progress == "json":

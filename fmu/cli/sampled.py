@@ -1,4 +1,4 @@
-"""The steps of ``fmu run``: search for maxima, draw with each sampler, write and print the results."""
+"""The steps of ``fmu run``: search for maxima, draw with each sampler, then write and print the results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Sampled(NamedTuple):
-    """The results of a run: the maxima and, for each sampler, its trace and the summary of the trace."""
+    """The results of a run: the maxima, and the trace of each sampler with its summary."""
 
     maxima: Maxima | None
     traces: dict[str, xr.DataTree]
@@ -42,7 +42,7 @@ class Sampled(NamedTuple):
 
     @property
     def limited(self) -> list[str]:
-        """Names of the samplers that ended at their limit of solves, and can be resumed with a larger limit."""
+        """Names of the samplers that reached their limit on solves, and can be resumed with a larger limit."""
         return [name for name, trace in self.traces.items() if "limit" in trace.attrs]
 
 
@@ -56,13 +56,13 @@ def sample_problem(
 ) -> Sampled:
     """Sample a problem with every requested sampler that has not finished yet, and write the results of each.
 
-    The maxima are printed once they are found, and the table and verdict of a sampler once its draws are complete;
-    certificates and predictions of left-out modes need further solves and follow later.
+    The maxima are printed as soon as they are found, and the table and verdict of a sampler as soon as its draws
+    are complete. Certificates and predictions of left-out modes need further solves and follow later.
 
     Raises
     ------
     StoppedRun
-        If Ctrl-C or SIGTERM stopped a sampler; the draws up to then are written too.
+        If Ctrl-C or SIGTERM stopped a sampler; the draws made until then are written too.
     """
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
@@ -125,9 +125,9 @@ def _tell_draws(
     report: Report | None,
     trace: xr.DataTree,
 ) -> None:
-    """Print and write the summary of a sampler's draws, its verdict, and how to continue if it reached its limit.
+    """Print and write the summary of a sampler's draws; print its verdict, and how to continue after a limit.
 
-    The verdict does not yet include a comparison with samplers that have not drawn.
+    The verdict does not yet include a comparison with samplers that have yet to draw.
     """
     from fmu.analysis.convergence.diagnosis import diagnose_all
     from fmu.analysis.convergence.diagnostics import summary
@@ -149,13 +149,13 @@ def _tell_draws(
 
 
 def _is_certified(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return True if the model has no surrogate or a certified surrogate, or the draws are made exact."""
+    """Return True if the model has no surrogate, its surrogate is certified, or the draws are made exact."""
     certificate = problem.model.certificate
     return certificate is None or bool(orders.get("exact")) or certificate.ok
 
 
 def _until(orders: Orders) -> dict[str, object]:
-    """Return a dict of a run's arguments of `fmu.sample`, with criteria for the end if `draws` is not given."""
+    """Return the arguments of a run for `fmu.sample`, with criteria for its end unless `draws` is given."""
     from fmu.analysis.convergence.remedies import ESS_LIMIT
 
     arguments = {key: order for key, order in orders.items() if key in sampling.DEFAULTS}
@@ -165,7 +165,7 @@ def _until(orders: Orders) -> dict[str, object]:
 
 
 def _limit(orders: Orders) -> int:
-    """Return the limit of a sampler's solves; with a surrogate, which is fast to solve, at least the default."""
+    """Return the limit on a sampler's solves; with a surrogate, which solves fast, at least the default."""
     return max(orders["max_solves"], MAX_SOLVES if orders.get("surrogate") else 0)
 
 
@@ -176,7 +176,7 @@ def _draw_trace(
     running: RunDirectory,
     **arguments: object,
 ) -> xr.DataTree:
-    """Return the trace of one sampler, after drawing and writing it; StoppedRun names the stopped sampler."""
+    """Draw with one sampler, write the trace and return it; a StoppedRun names the sampler."""
     from fmu.samplers.loop.saving import TooManyFailuresError
     from fmu.samplers.registry import make_sampler
 
@@ -219,7 +219,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Orders) -> int:
-    """Print the evidences, comparison and verdict on the model, write the comparison, and return the exit code."""
+    """Print the evidences, comparison and verdict on the model; write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
@@ -256,7 +256,7 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Or
 
 
 def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:
-    """Print the number of points inside the bounds without a finite log-probability, if there were any."""
+    """Print the number of points inside the bounds without a finite log-probability, if any."""
     groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
     failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
     if failed:
@@ -271,8 +271,8 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
     """Yield the engine that advances groups of chains.
 
-    A user's function is expensive: unless groups are requested, the workers share the evaluations of each step,
-    and the chains advance in this process.
+    Because a user's function is expensive, the workers share the evaluations of each step, and the chains advance
+    in this process, unless groups are requested.
     """
     from fmu.engines.base import InProcess
 
@@ -285,7 +285,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 @contextmanager
 def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
-    """Add the first failure of the user's function, if there is one, to the message of a ValueError."""
+    """Append the first failure of the user's function, if any, to the message of a ValueError."""
     try:
         yield
     except ValueError as error:
@@ -296,6 +296,6 @@ def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
 
 
 def _why(problem: UpdatingProblem) -> str:
-    """Return the first failure of the user's function, in words; empty if there is none."""
+    """Return a description of the first failure of the user's function; empty if there is none."""
     reasons = problem.model.reasons
     return f"; the function first failed at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""

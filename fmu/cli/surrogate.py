@@ -1,4 +1,4 @@
-"""Surrogates in ``fmu run``: whether a surrogate replaces a slow model, its construction, and the messages."""
+"""Surrogates in ``fmu run``: the decision whether one replaces a slow model, its construction, and messages."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from fmu.runs.run_directory import RunDirectory
 
 MAX_SOLVES = 2_000_000
-"""Default limit of a sampler's solves, warm-up included; a run that has not converged ends there."""
+"""Default limit on a sampler's solves, including warm-up, at which a run ends even if it has not converged."""
 NO_SURROGATE = (
     "--exact: no surrogate stands for this model, so that its draws are exact anyway: leave out --exact, or ask "
     "for a surrogate where one is possible (--surrogate)."
 )
 _MOST = 8
-"""Default limit of the proposals for exact draws, relative to the number that is solved first."""
+"""Default limit on the proposals for exact draws, relative to the number solved first."""
 _THINNED = 4
-"""ESS at which the surrogate's sampler first ends, relative to the number of proposals that is solved first."""
+"""ESS at which the surrogate's sampler first stops, relative to the number of proposals solved first."""
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return True if a surrogate is to be built: on request, or if a solve of the user's function is slow.
+    """Return True if a surrogate is to be built: on request or, by default, if a solve of the model is slow.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
 
 
 def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, speaks: bool) -> UpdatingProblem:
-    """Return the problem with its surrogate; print the cost before it is built, and its certificate afterwards."""
+    """Build a surrogate and return the problem with it; print its expected cost, and then its certificate."""
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
     from fmu.surrogates.learning import certificate_of, expected_solves, surrogate
@@ -80,7 +80,11 @@ def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, spe
 
 
 def _budget(problem: UpdatingProblem, orders: Orders) -> int:
-    """Return the limit of solves of a surrogate: the requested limit, and for exact draws at most the default."""
+    """Return the largest number of solves for a surrogate.
+
+    This is the requested limit. It is at most the default of `fmu.surrogate` if draws are made exact, or if no
+    limit was requested.
+    """
     from fmu.surrogates.learning import most_solves
 
     by_default, most = most_solves(problem), int(orders["max_solves"])
@@ -95,7 +99,7 @@ def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Return the run's problem and options, after saving the solved points of its surrogate in the options.
+    """Save the solved points of a run's surrogate in its options; return the problem file and options.
 
     A run that is resumed with more solves has a new surrogate; the draws of the earlier surrogate are removed.
     """
@@ -114,20 +118,25 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact posterior draws with a surrogate's draws as proposals, from a longer run if more are needed.
+    """Return exact posterior draws, for which draws of a surrogate are proposals; make more of these if needed.
 
     Parameters
     ----------
     problem : UpdatingProblem
         Problem with a surrogate.
     name : str
-        Sampler that draws from the surrogate's posterior.
+        Name of the sampler that draws from the surrogate's posterior.
     until_ess : float
+        Bulk and tail ESS that every parameter must reach.
     most : int, optional
-        Limit of solves, including the surrogate's; by default ten exact solves for every effective draw.
-    workers : Engine
-    **arguments
+        Limit on solves, including those for the surrogate. Defaults to ten exact solves per effective draw.
+    workers : Engine **arguments
         Arguments of `fmu.sample`.
+
+    Raises
+    ------
+    ValueError
+        If `most` leaves fewer exact solves than there are chains.
     """
     from fmu.sampling import sample
     from fmu.surrogates.delayed_acceptance import delayed_acceptance, proposals

@@ -1,4 +1,4 @@
-"""Output of tables and verdicts as text on a terminal."""
+"""Tables and verdicts as text on a terminal."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _IN_WORDS = {
     "n_gradients": "gradients", "gradient_cost": "solves that a gradient costs",
     "wall_s": "time, s", "ess_per_solve": "ESS per solve", "ess_per_s": "ESS per second",
 }  # fmt: skip
-"""Printed headings of columns of `fmu.summary` and `fmu.compare`; other columns keep their names."""
+"""Printed headings of columns of `fmu.summary` and `fmu.compare`; all other columns keep their names."""
 
 
 def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
@@ -45,11 +45,11 @@ def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
 
 
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
-    """Print the summary of a sampler's trace, with means and intervals rounded according to the sd.
+    """Print the summary of a sampler's trace, with means and intervals rounded by their standard deviation.
 
-    Each end of an interval is followed by its Monte-Carlo standard error. The last column gives the basis of each
-    value, such as data or prior, if known; rows that the data did not inform are dimmed. Losses between groups of
-    tests have a separate table (`fmu.cli.damage.echo_losses`).
+    Each end of an interval is followed by its Monte Carlo standard error. The last column gives the basis of each
+    value, such as data or prior, if known. Rows that were not informed by the data are dimmed. Losses between
+    groups of tests have a separate table (`fmu.cli.damage.echo_losses`).
     """
     from fmu.analysis.information import information
     from fmu.analysis.trace.reading import is_loss, told_names
@@ -80,7 +80,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
 
 def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
-    """Print the verdict on a sampler's run and its reasons; the name fills at least `width` columns."""
+    """Print the verdict on a sampler's run, with reasons; the name is padded to `width` columns."""
     width = max(width, len(name)) + 2
     indent = " " * width
     click.echo(wrap_text(found.verdict, f"{name:{width}}", indent))
@@ -91,9 +91,9 @@ def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
 def echo_comparison(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], *, with_verdicts: bool = True
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
-    """Print a table with one column per sampler, the verdicts if requested, and the warnings about the model.
+    """Print a table with one column per sampler, the verdicts if requested, and warnings about the model.
 
-    For several samplers, the costs beside the baseline and the agreement of the samplers are printed too.
+    If there are several samplers, their costs relative to the baseline and their agreement are printed too.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def echo_comparison(
 def _echo_costs(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> pd.DataFrame:
-    """Print whether the samplers agree, and their costs beside the baseline; return the table of costs."""
+    """Print whether the samplers agree, and their costs relative to the baseline; return the table of costs."""
     from fmu.analysis.convergence.agreement import agreement
     from fmu.analysis.convergence.comparison import COUNTED, at_both_points, cost_rows, costs_side_by_side
 
@@ -157,7 +157,7 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
 
 
 def echo_models(directory: Path, with_page: bool = True) -> None:
-    """Print and write the comparison of the runs in the directories below one directory, one of each discrepancy.
+    """Print and write a comparison of the runs in the subdirectories of a directory, one per discrepancy.
 
     Raises
     ------
@@ -199,14 +199,14 @@ def _summary_cell(name: str, value: float, sd: float) -> str:
 
 
 def _beside_the_ends(columns: list[str]) -> list[str]:
-    """Return the column names of a summary, with the standard error of an interval's end after that end."""
+    """Return the columns of a summary, with the standard error of each interval end directly after that end."""
     errors = {column.removeprefix("mcse_"): column for column in columns if column.startswith("mcse_eti")}
     others = [column for column in columns if column not in errors.values()]
     return [name for column in others for name in (column, errors.get(column)) if name is not None]
 
 
 def _cell(name: str, value: object) -> str:
-    """Return the text of a value of the comparison: whole numbers in full, a dash if it does not apply."""
+    """Return a value of the comparison as text: whole numbers in full, and a dash if it does not apply."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):

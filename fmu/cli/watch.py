@@ -1,4 +1,4 @@
-"""The command ``fmu watch``: the progress of a run, as a table, as JSON or as a web page."""
+"""The command ``fmu watch``, which shows the progress of a run as a table, as JSON or as a web page."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def watch(directory: Path, follow: bool, every: float, is_json: bool, web: bool,
 
 
 def _serve(directory: Path, every: float, host: str, port: int) -> Never:
-    """Serve the page of a run until Ctrl-C, which ends the process."""
+    """Serve the web page of a run until Ctrl-C ends the process."""
     from fmu.runs.web import LOOPBACK, WatchServer
 
     with WatchServer(directory, every, host, port) as server:
@@ -88,7 +88,7 @@ def _serve(directory: Path, every: float, host: str, port: int) -> Never:
 
 
 def _lines(reading: RunReading) -> Iterator[str]:
-    """Yield the lines to print: the state of the run, a table, verdicts, notes, and how to resume it."""
+    """Yield the lines to print: the state of the run, a table, verdicts, notes, and how to resume the run."""
     from fmu.runs.words import rows, state_of, to_resume
 
     yield f"{reading.directory}: {state_of(reading)}"
@@ -110,7 +110,7 @@ def _lines(reading: RunReading) -> Iterator[str]:
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
-    """Return the text of a table of rows, without the empty columns."""
+    """Return a table of rows as text, without the empty columns."""
     from fmu.runs.words import HEADER, WORDS
 
     columns = [

@@ -1,4 +1,4 @@
-"""Runs on disk: the draws and the state of the chains are saved during a run, so that the run can be resumed.
+"""Runs on disk: draws and chain states are saved during a run, so that it can be resumed.
 
 Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status, words and web for
 ``fmu watch``.
@@ -19,16 +19,16 @@ from fmu.arguments import Count, check_arguments
 @check_arguments
 @dataclass(frozen=True)
 class Checkpoint:
-    """The directory in which a run is saved while it goes on, and how often it is saved.
+    """The directory in which a run is saved while it is running, and how often it is saved.
 
     Parameters
     ----------
     directory : path-like
-        A directory for this run only. It is created if it does not exist.
+        A directory for this run only, created if it does not exist.
     draws : int
         Largest number of steps that a group of chains loses if the run is killed.
     seconds : float
-        Largest time of sampling that a group of chains loses if the run is killed, in s. If a single step takes
+        Largest time of sampling in s that a group of chains loses if the run is killed. If a single step takes
         longer, the group loses this step.
 
     Raises

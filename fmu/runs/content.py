@@ -1,4 +1,4 @@
-"""The files of a checkpoint: steps as HDF5, the state of a group of chains as NumPy arrays and a JSON outline."""
+"""The files of a checkpoint: steps in HDF5, and the state of a group of chains as NumPy arrays with JSON data."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """The entry of a saved state on one file of steps.
+    """Entry in a saved state for one file of steps.
 
     Attributes
     ----------
     name : str
         Name of the file.
     sha256 : str
-        Checksum of the file's content.
+        Checksum of the content of the file.
     phase : str
     first, steps : int
         Index of the first step in the phase, and number of steps.
@@ -53,16 +53,16 @@ class SavedState(NamedTuple):
     Attributes
     ----------
     configuration : str
-        Hash of the data that determine the draws.
+        Hash of all the data that determine the draws.
     arithmetic : str
-        Kind of CPU and BLAS, on which the last bits of the draws depend.
+        Type of CPU and BLAS, on which the last bits of the draws depend.
     group_state : GroupState
     elapsed_s : mapping of str to float
         Time in s that each phase of the run has taken.
     segments : list of Segment
         The files of all steps so far.
     total : int
-        Total number of steps of the present phase, for ``fmu watch``.
+        Total number of steps in the current phase, for ``fmu watch``.
     """
 
     configuration: str
@@ -74,7 +74,7 @@ class SavedState(NamedTuple):
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
-    """Return the bytes of an HDF5 file with steps and the points at which the model failed during these steps."""
+    """Return, as the bytes of an HDF5 file, steps and the points at which the model failed during them."""
     import h5py
 
     buffer = io.BytesIO()
@@ -89,7 +89,7 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
 
 
 def writable(text: str) -> str:
-    """Return the text with NUL and invalid Unicode, which a user's message may have, escaped for HDF5."""
+    """Return the text with NUL and invalid Unicode, which a user's message may contain, escaped for HDF5."""
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
 
 
@@ -113,7 +113,7 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: SavedState) -> bytes:
-    """Return a state as the bytes of a zip file of NumPy arrays, one of which holds the remaining data as JSON.
+    """Return a state as the bytes of a zip file of NumPy arrays, one of which contains the other data as JSON.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def packed_state(state: SavedState) -> bytes:
 
 
 def unpacked_state(payload: bytes) -> SavedState:
-    """Return the state in the bytes that `packed_state` returned; raise DamagedError for any other bytes."""
+    """Return the state in the bytes that `packed_state` returned; raise DamagedError for other bytes."""
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -153,7 +153,7 @@ def numbered_files(directory: Path, kind: str) -> list[tuple[int, Path]]:
 
 
 def state_file(state: SavedState) -> bytes:
-    """Return the content of a file that holds a state and its checksum."""
+    """Return the content of a state file: the state and its checksum."""
     return add_checksum(TITLE, packed_state(state))
 
 
@@ -179,7 +179,7 @@ def read_state(path: Path) -> SavedState:
 
 
 def read_segment(directory: Path, segment: Segment) -> bytes:
-    """Return the content of a file of steps; raise DamagedError if the file is missing or has been changed."""
+    """Return the content of a file of steps; raise DamagedError if the file is missing or has changed."""
     try:
         content = (directory / segment.name).read_bytes()
     except OSError as error:
@@ -190,7 +190,7 @@ def read_segment(directory: Path, segment: Segment) -> bytes:
 
 
 def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object], dict[str, AnyArray]]:
-    """Return a tree without its arrays, and the arrays by their paths in it, such as ``state/position``."""
+    """Split a tree into one without arrays and a dict of its arrays by their path, such as ``state/position``."""
     plain: dict[str, object] = {}
     arrays: dict[str, AnyArray] = {}
     for name, value in tree.items():
@@ -205,7 +205,7 @@ def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object
 
 
 def _together(plain: dict[str, Any], arrays: Mapping[str, AnyArray]) -> dict[str, Any]:
-    """Return the tree from the two results of `_apart`."""
+    """Return the tree that `_apart` has split into `plain` and `arrays`."""
     for path, array in arrays.items():
         *folders, name = path.split("/")
         tree = plain

@@ -21,7 +21,7 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class Identity:
-    """The configuration of a run, in plain Python types, and the versions of packages that affect the draws."""
+    """The configuration of a run, in plain Python types, and the versions of packages that affect its draws."""
 
     configuration: Mapping[str, Any]
     versions: Mapping[str, str]
@@ -44,7 +44,7 @@ class Identity:
 
     @classmethod
     def read(cls, directory: Path) -> Identity | None:
-        """Return the identity of the run in a directory, or None without one; raise DamagedError if damaged."""
+        """Return the identity of the run in a directory, or None without one; raise DamagedError if unreadable."""
         path = directory / FILE
         if not path.is_file():
             return None
@@ -52,9 +52,9 @@ class Identity:
         return cls(held["configuration"], held["versions"])
 
     def check(self, directory: Path) -> None:
-        """Raise ValueError if the directory holds another run.
+        """Raise ValueError if the directory contains another run.
 
-        A damaged file is ignored, because every state also has the hash of its run.
+        A damaged file is ignored, because every saved state also contains the hash of its run.
         """
         try:
             found = Identity.read(directory)
@@ -79,7 +79,7 @@ class Identity:
 
 @cache
 def arithmetic() -> str:
-    """Return the kind of CPU and BLAS in words; the last bits of results depend on them besides the versions."""
+    """Return a description of the CPU and BLAS types, which affect the last bits of results as versions do."""
     from threadpoolctl import threadpool_info
 
     blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")

@@ -1,4 +1,4 @@
-"""The lock of a directory, which one process holds at a time, and notes for ``fmu watch``, which needs no lock."""
+"""A directory lock that one process holds at a time, and notes for ``fmu watch``, which needs no lock."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class ProcessInfo:
     host : str
     pid : int
     began : float
-        Time at which the process began to run in the directory, in s since 1970.
+        Time at which the process began its run in the directory, in s since 1970.
     birth : str
-        Start time of the process, which distinguishes it from a later process with the same pid; empty if unknown.
+        Start time of the process, which distinguishes it from later processes with the same pid; empty if unknown.
     """
 
     host: str
@@ -41,7 +41,7 @@ class ProcessInfo:
     birth: str
 
     def is_alive(self) -> bool | None:
-        """Return True if the process still exists, else False; None if this cannot be known on this machine."""
+        """Return whether the process still exists; None if this machine cannot tell."""
         if self.host != socket.gethostname() or os.name != "posix":
             return None
         try:
@@ -54,13 +54,13 @@ class ProcessInfo:
 
 
 class DirectoryLock:
-    """The lock of a directory, which the system releases when the process that holds the lock dies.
+    """A lock on a directory, which the system releases if the process that holds it dies.
 
     Parameters
     ----------
     directory : Path
     refusal : str
-        Message of the ValueError.
+        Message of the ValueError if the lock is held.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class DirectoryLock:
 
 
 def announce(directory: Path) -> None:
-    """Write a note that this process runs in a directory; if the disk is full, write no note."""
+    """Write a note that this process is running in a directory, or no note if the disk is full."""
     pid = os.getpid()
     here = ProcessInfo(socket.gethostname(), pid, time.time(), _birth(pid))
     with suppress(OSError):
@@ -92,14 +92,14 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove the notes of this process from a directory. Only a killed process leaves its notes behind."""
+    """Remove the notes of this process from a directory; only a killed process leaves notes behind."""
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)
 
 
 def present(directory: Path) -> ProcessInfo | None:
-    """Return the process that runs in a directory, or was killed in it; None without a readable note."""
+    """Return the process that is running in a directory or was killed in it; None if there is no readable note."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
@@ -107,7 +107,7 @@ def present(directory: Path) -> ProcessInfo | None:
 
 
 class PhaseNote:
-    """A note of the present phase in a directory. Between two phases there is no note.
+    """A note in a directory about the current phase; there is none between two phases.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class PhaseNote:
         self._noted = ("", 0.0)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Write the progress of a phase, at most twice a second; remove the note if the name is empty."""
+        """Write the progress of a phase to the note, at most twice a second; remove the note if `phase` is ""."""
         now = time.monotonic()
         name, at = self._noted
         if name == phase and now < at + _NOTED_S:
@@ -135,7 +135,7 @@ class PhaseNote:
 
 
 def noted_phase(directory: Path) -> tuple[str, int, int] | None:
-    """Return the present phase, its steps done and its total steps; None without a readable note."""
+    """Return the name of the current phase, its completed and total steps; None if there is no readable note."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
         return str(held["phase"]), int(held["done"]), int(held["total"])
@@ -143,7 +143,7 @@ def noted_phase(directory: Path) -> tuple[str, int, int] | None:
 
 
 def _birth(pid: int) -> str:
-    """Return an identifier of the boot and the start time of a process; empty without /proc or if it has ended."""
+    """Return the boot identifier and start time of a process; empty if it has ended or there is no /proc."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]

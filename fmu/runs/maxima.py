@@ -14,7 +14,7 @@ FILE = "maxima.nc"
 
 
 def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> None:
-    """Write the maxima into a directory, with a hash of the posterior."""
+    """Write the maxima to a directory, with a hash of the posterior."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import with_maxima
@@ -26,7 +26,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> No
 
 
 def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | None = None) -> Maxima | None:
-    """Return the saved maxima; None if the file is missing, damaged, or of another posterior than `problem`."""
+    """Return the saved maxima; None if the file is missing or damaged, or belongs to a different posterior."""
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.trace.netcdf import from_netcdf
 

@@ -1,4 +1,4 @@
-"""The new tests that were compared with a run: ``predictions.csv`` in its directory, one row per test."""
+"""The new tests that have been compared with a run, one per row of ``predictions.csv`` in its directory."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ Row = Mapping[str, str]
 
 
 class Predictions:
-    """The predictions of a run. They are read, and written together with new ones, within `open_predictions`.
+    """Predictions saved with a run, which are read and extended within a block of `open_predictions`.
 
     Parameters
     ----------
     directory : Path
         The directory of the run.
     measured : sequence of str
-        The columns with what was measured in a test, of which the first is its name.
+        Columns with the measured data of a test; the first is its name.
     found : sequence of str
-        The columns with what was found.
+        Columns with the results of the prediction.
     draws : str
-        The value of the last column, ``draws_of``: the draws that were used.
+        Identifier of the draws that were used, for the last column, ``draws_of``.
 
     Raises
     ------
     ValueError
-        If the file is not as `add` wrote it, or is of other draws.
+        If the file is not as `add` wrote it, or was made with other draws.
     """
 
     def __init__(self, directory: Path, measured: Sequence[str], found: Sequence[str], draws: str) -> None:
@@ -46,12 +46,12 @@ class Predictions:
         self.rows: list[Row] = self._read() if self.path.exists() else []
 
     def find_new(self, tests: Sequence[Row]) -> list[int]:
-        """Return the indices of the tests that have no row yet.
+        """Return the indices of the tests that have no row in the file yet.
 
         Raises
         ------
         ValueError
-            If a test has a row with other numbers.
+            If a test has a row with different measured data.
         """
         known = {row[NAME]: row for row in self.rows}
         for test in tests:
@@ -66,7 +66,7 @@ class Predictions:
         return [i for i, test in enumerate(tests) if test[NAME] not in known]
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Write the file with further rows; a killed process leaves the file as it was, or whole."""
+        """Write the file with further rows; if the process is killed, the file has its old or its new content."""
         self.rows += [{**row, "draws_of": self._draws} for row in rows]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, lineterminator="\n")
@@ -98,7 +98,7 @@ class Predictions:
 def open_predictions(
     directory: Path, measured: Sequence[str], found: Sequence[str], draws: str
 ) -> Iterator[Predictions]:
-    """Within a with block, only this process reads and writes the predictions of a run; see `Predictions`."""
+    """Yield the predictions of a run, which only this process can read and write within the block."""
     try:
         with FileLock(directory / f".{FILE}.lock", timeout=_WAIT_S):
             yield Predictions(directory, measured, found, draws)

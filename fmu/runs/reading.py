@@ -22,7 +22,7 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a group of chains, or of all groups of a sampler together. NaN and None mean not known.
+    """The progress of a group of chains, or of all groups of a sampler together; NaN and None mean unknown.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Progress:
     phase : str
         "warmup", "draws", or empty if nothing has been saved yet.
     done : int
-        Number of steps done in the phase; for all groups together, the smallest number of any group.
+        Number of completed steps of the phase; for all groups together, the smallest number of any group.
     total : int or None
         Total number of steps of the phase.
     kept_s : float or None
@@ -47,7 +47,7 @@ class Progress:
     remaining_s : float or None
         Remaining time in s at the pace so far.
     chains : int
-        Number of chains or, for an ensemble sampler, of ensembles; 0 if not known.
+        Number of chains or, for an ensemble sampler, of ensembles; 0 if unknown.
     """
 
     group: str = ""
@@ -66,7 +66,7 @@ class Progress:
 
 
 class KeptGroup(NamedTuple):
-    """A group of chains in its last saved state.
+    """A group of chains as last saved.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class KeptGroup(NamedTuple):
 
     @property
     def done(self) -> dict[str, int]:
-        """Mapping from the name of each phase to the number of steps done."""
+        """Number of completed steps of each phase, by the name of the phase."""
         return dict(self.state.group_state.done)
 
     @property
@@ -105,7 +105,7 @@ class KeptGroup(NamedTuple):
         return sum(self.state.elapsed_s.values())
 
     def seconds_left(self, warmup: int, draws: int | None) -> float | None:
-        """Return the remaining time in s at the time of the save, at the pace of the phase; None if not known."""
+        """Return the time in s remaining when the group was saved, at the pace of its phase; None if unknown."""
         done = self.done
         if draws is None or done[self.phase] == 0:
             return None
@@ -120,11 +120,11 @@ class KeptGroup(NamedTuple):
         label : str
             The label of the group, such as ``2/4``.
         warmup : int
-            Number of steps of the warm-up.
+            Number of warm-up steps.
         draws : int or None
-            Number of steps requested after the warm-up, if it is known.
+            Number of steps requested after the warm-up, if known.
         now : float
-            Present time, in s since 1970.
+            Current time, in s since 1970.
         runs : bool
             Whether the group has been running since the save.
         """
@@ -149,7 +149,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """The data of a file of steps for diagnostics: accepted moves, all moves, and draws (None in warm-up)."""
+    """Data for diagnostics from a file of steps: accepted moves, all moves, and draws (None in warm-up)."""
 
     accepted: int
     moves: int
@@ -157,7 +157,7 @@ class _Steps(NamedTuple):
 
 
 class GroupReader:
-    """A reader of the files of a group of chains, to be called repeatedly; each file of steps is read only once.
+    """Reads the files of a group of chains, repeatedly if needed; each file of steps is read only once.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class GroupReader:
         self._read: dict[tuple[str, str], _Steps] = {}
 
     def read(self) -> tuple[KeptGroup | None, list[str]]:
-        """Return the group, or None without an undamaged state, and a list of messages on damaged files."""
+        """Return the group, or None if it has no undamaged state, and a list of messages about damaged files."""
         damaged: list[str] = []
         found = self._last_state(damaged)
         if found is None:
@@ -192,7 +192,7 @@ class GroupReader:
         return KeptGroup(state, phase, at, accept, draws), damaged
 
     def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
-        """Return the newest undamaged state and the time of its save; add messages on damage to `damaged`."""
+        """Return the newest undamaged state and the time it was saved; add messages about damage to `damaged`."""
         for _ in range(_TRIES):
             damaged.clear()
             for _, path in reversed(numbered_files(self.directory, "state")):
@@ -276,7 +276,7 @@ def of_trace(path: Path) -> Progress:
 
 
 def why(error: Exception) -> str:
-    """Return the reason that an error gives, without the path of an OSError."""
+    """Return the reason given by an error, without the path in an OSError."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
@@ -285,7 +285,7 @@ def _per_s(solves: int, seconds: float) -> float:
 
 
 def _diagnostics(kept: Sequence[KeptGroup | None]) -> dict[str, float]:
-    """Return a dict of R-hat and effective sample size of the draws that all groups have; empty if too few."""
+    """Return R-hat and effective sample size of the draws that all groups have; empty if there are too few."""
     draws = [one.draws for one in kept if one is not None and one.draws is not None]
     steps = min((x.shape[1] for x in draws), default=0)
     if len(draws) < len(kept) or steps < _FEWEST:

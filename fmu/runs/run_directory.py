@@ -1,4 +1,4 @@
-"""The output directory of ``fmu run`` during the run: the lock, and the files needed to resume the run."""
+"""The output directory of ``fmu run`` during a run: its lock, and the files needed to resume the run."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ FOLDER = "checkpoints"
 class RunDirectory:
     """The output directory of a run, which only one process can use at a time.
 
-    Its folder ``checkpoints`` holds a directory for each sampler (`fmu.runs.store.Store`), the problem and the
-    options of the run, and the maxima that were found. The folder is removed when the run has ended. It is also
-    removed if the run fails with a ValueError, or with an OSError while the problem is built, before the first
-    draw.
+    Its folder ``checkpoints`` contains a directory for each sampler (`fmu.runs.store.Store`), the problem and
+    options of the run, and the maxima that were found. The folder is removed at the end of the run. It is also
+    removed if, before the first draw, the run fails with a ValueError, or with an OSError while the problem is
+    built.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ class RunDirectory:
         self._lock.release()
 
     def abandon(self) -> None:
-        """Remove the folder ``checkpoints`` if nothing has been drawn, because the run cannot be performed."""
+        """Remove the folder ``checkpoints`` of a run that cannot be carried out, unless there are draws in it."""
         if not any(self.folder.glob("*/*/state-*")):
             self.end_run()
 
     def begin(self, problem: KeptProblem) -> None:
-        """Remove the files for resuming an earlier run, and save the problem and the options of this run."""
+        """Remove the files for resuming an earlier run, and save the problem and options of this run."""
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
@@ -67,7 +67,7 @@ class RunDirectory:
         return self.folder / name
 
     def take_ledger(self, sampler: str, to: Path) -> None:
-        """Copy the list of a sampler's failed solves; if there is none, remove the list of an earlier run."""
+        """Copy the list of a sampler's failed solves to file `to`; if there is no list, remove that file."""
         ledger = self.of_sampler(sampler) / LEDGER
         if ledger.is_file():
             shutil.copyfile(ledger, to)
@@ -75,7 +75,7 @@ class RunDirectory:
             to.unlink(missing_ok=True)
 
     def finish_sampler(self, sampler: str, problem: KeptProblem) -> None:
-        """Record that the trace of a sampler has been written, and remove the sampler's checkpoint."""
+        """Record that the trace of a sampler has been written, and remove its checkpoint."""
         for directory in (self.path, self.folder):
             problem.save(directory)
         shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)
@@ -88,5 +88,5 @@ class RunDirectory:
 
 
 def folder_of_order(directory: Path) -> Path:
-    """Return the folder with the problem and the options of a run: ``checkpoints`` until the run has ended."""
+    """Return the folder with the problem and options of a run: ``checkpoints`` until the run has ended."""
     return directory / FOLDER if (directory / FOLDER / ORIGIN).is_file() else directory

@@ -1,4 +1,4 @@
-"""The state of a run, read from the files in its directory without a lock and without writing anything."""
+"""The state of a run, read from the files in its directory without taking its lock or writing anything."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ WAITING, RUNNING, STOPPED, KILLED, SILENT, FINISHED = (
     "waiting", "running", "stopped", "killed", "silent", "finished",
 )  # fmt: skip
 SILENT_S = 600.0
-"""Age in s of the newest file above which a run on another machine, whose process cannot be checked, is silent."""
+"""Age in s of the newest file beyond which a run on another machine, whose process cannot be checked, is
+silent."""
 _BEGINS_S = 2.0
 _TRIES = 5
 
@@ -58,12 +59,12 @@ class RunReading:
     directory : Path
     state : {"running", "stopped", "killed", "silent", "finished"}
     at_work : ProcessInfo or None
-        The process that runs in the directory, or was killed in it.
+        The process that is running in the directory, or was killed in it.
     samplers : tuple of SamplerReading
     is_of_command : bool
         Whether the run was started by ``fmu run``, which can then resume it.
     phase : str
-        The present phase outside the samplers, such as ``certificate 32/64``; empty if there is none.
+        The current phase outside the samplers, such as ``certificate 32/64``; empty if there is none.
     notes : tuple of str
         Messages about files that could not be read.
     """
@@ -78,12 +79,12 @@ class RunReading:
 
 
 class RunReader:
-    """A reader of the state of a run, to be called repeatedly; files that do not change are read only once.
+    """Reads the state of a run, repeatedly if needed; files that do not change are read only once.
 
     Parameters
     ----------
     directory : Path
-        Output directory of ``fmu run``, or the checkpoint of `fmu.sample`.
+        Output directory of ``fmu run``, or checkpoint directory of `fmu.sample`.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -99,7 +100,7 @@ class RunReader:
         Raises
         ------
         ValueError
-            If the directory holds no run.
+            If the directory contains no run.
         """
         for _ in range(_TRIES):
             self._notes.clear()
@@ -111,7 +112,7 @@ class RunReader:
         return reading
 
     def _of_python(self) -> RunReading:
-        """Return the state of a run of `fmu.sample` with the directory as its checkpoint."""
+        """Return the state of a run of `fmu.sample` whose checkpoint is the directory."""
         at_work = present(self.directory)
         sampler = self._read_sampler("", self.directory, _state(at_work, self.directory), {})
         groups = sampler.groups or (sampler.together,)
@@ -120,7 +121,7 @@ class RunReader:
         return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
-        """Return the state of a run of ``fmu run``, whose problem and options are in the folder `where`."""
+        """Return the state of a run of ``fmu run`` whose problem and options are in the folder `where`."""
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
@@ -147,7 +148,7 @@ class RunReader:
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _read_order(self, where: Path) -> tuple[Orders, tuple[str, ...]]:
-        """Return the options of the run and the names of the finished samplers; both empty if not readable."""
+        """Return the options of the run and the names of the finished samplers; both empty if unreadable."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
@@ -210,7 +211,7 @@ def _state(at_work: ProcessInfo | None, directory: Path) -> str:
 
 
 def _begins(directory: Path) -> bool:
-    """Return True if a directory was created less than `_BEGINS_S` ago and holds no more than a lock."""
+    """Return True if a directory was created less than `_BEGINS_S` ago and contains at most a lock."""
     try:
         held = {path.name for path in directory.iterdir() if not path.name.startswith(".")}
         return held <= {LOCK} and time.time() - directory.stat().st_mtime < _BEGINS_S
@@ -219,7 +220,7 @@ def _begins(directory: Path) -> bool:
 
 
 def _youngest(directory: Path) -> float:
-    """Return the time at which any file in the directory was last written, in s since 1970; 0 without files."""
+    """Return the time at which a file in the directory was last written, in s since 1970; 0 if there is none."""
     times = [0.0]
     for path in directory.rglob("*"):
         try:
@@ -230,7 +231,7 @@ def _youngest(directory: Path) -> float:
 
 
 def _verdicts(directory: Path) -> dict[str, str]:
-    """Return a dict of the verdicts in ``comparison.csv`` by sampler; empty if it is missing or damaged."""
+    """Return the verdicts in ``comparison.csv`` by sampler, as a dict; empty if the file is missing or damaged."""
     try:
         with open(directory / "comparison.csv", encoding="utf-8", newline="") as file:
             return {str(row["sampler"]): str(row["verdict"]) for row in csv.DictReader(file)}

@@ -1,4 +1,4 @@
-"""The checkpoint of a run: draws are added in files that never change, and new states replace old states."""
+"""The checkpoint of a run: draws are added in files that never change, and new states replace old ones."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ _STATES = 2  # number of states that are kept: if the last state is damaged, the
 
 
 class CheckpointWarning(UserWarning):
-    """Warning of a damaged file in a checkpoint: some draws have to be drawn again."""
+    """Warning about a damaged file in a checkpoint; some steps must be drawn again."""
 
 
 class OtherArithmeticWarning(UserWarning):
-    """Warning of a run resumed with another CPU or BLAS: the draws are valid, but differ in their last bits."""
+    """Warning that a run is resumed with another CPU or BLAS; its draws are valid, but differ in the last bits."""
 
 
 class Store:
     """The checkpoint of a run in a directory, which saves and restores the groups of chains.
 
-    Each group has a directory of its own; the first is ``group-1``. Its files ``steps-000001.h5``, … hold the
-    draws in HDF5. A file such as ``state-000007`` holds the data that the sampler needs to continue after these
-    draws, and the list of the files of steps with their checksums. Files are written atomically, so the directory
-    can be read at any time. Files of steps that no state lists are ignored, and their steps are drawn again.
-    ``failures.csv`` lists the failed solves, if there are any.
+    Each group has its own directory; the first is ``group-1``. Its files ``steps-000001.h5``, … contain the draws
+    in HDF5. A file such as ``state-000007`` contains the data that the sampler needs to continue after these
+    draws, and a list of the files of steps with their checksums. Files are written atomically, so the directory
+    can be read at any time. Files of steps that are not listed in a state are ignored, and their steps are drawn
+    again. ``failures.csv`` lists the failed solves, if there are any.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Store:
     Raises
     ------
     ValueError
-        If the directory holds another run, or another process is running in it.
+        If the directory contains another run, or another process is running in it.
     OSError
         If the directory cannot be created or written to.
     """
@@ -90,14 +90,14 @@ class Store:
             raise
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return a group in its newest undamaged state; None if no undamaged state is saved.
+        """Return a group in its newest undamaged state; None if there is no such state.
 
         Warns
         -----
         CheckpointWarning
             If a file is damaged.
         OtherArithmeticWarning
-            If the state was saved on a machine with another kind of CPU or BLAS.
+            If the state was saved with a different type of CPU or BLAS.
         """
         self._saved_at[group] = time.monotonic()
         files = self._files(group)
@@ -115,12 +115,12 @@ class Store:
         return SavedGroup(state.group_state, state.elapsed_s, files.steps())
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return True if a group that has taken `steps` steps since its last save is to be saved again."""
+        """Return True if a group must be saved, given the number of steps since it was last saved."""
         waited = time.monotonic() - self._saved_at[group]
         return steps >= self.most_steps or waited >= self.most_seconds - LIVE_S
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Save the new steps of a group, and the group's state after these steps.
+        """Save the new steps of a group, and its state after these steps.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class Store:
         self._saved_at[group] = time.monotonic()
 
     def close(self) -> None:
-        """Release the lock of the directory."""
+        """Release the lock on the directory."""
         self._lock.release()
 
     def __enter__(self) -> Self:
@@ -154,7 +154,7 @@ class Store:
         self.close()
 
     def _tidy(self) -> None:
-        """Remove unfinished files of killed processes, and the ledger, which is rebuilt from the steps."""
+        """Remove unfinished files left by killed processes, and the ledger, which is rebuilt from the steps."""
         for leftover in (*self.directory.rglob(".*.part"), self.directory / LEDGER):
             with suppress(OSError):  # a remaining file does no harm
                 leftover.unlink(missing_ok=True)
@@ -173,7 +173,7 @@ class Store:
 
 
 class _GroupFiles:
-    """The files of one group: the files of steps so far, and the last states."""
+    """The files of one group: all files of steps so far, and the latest states."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -182,7 +182,7 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest state that is undamaged, as are its files of steps; None if there is no such state.
+        """Return the newest state which, with its files of steps, is undamaged; None if there is none.
 
         Later calls of `append` continue from this state.
         """
@@ -204,12 +204,12 @@ class _GroupFiles:
         return None
 
     def steps(self) -> Iterator[tuple[str, int, Steps]]:
-        """Yield phase, index of the first step, and steps of each file, in order."""
+        """Yield the phase, the index of the first step, and the steps of each file, in order."""
         for segment in self.segments:
             yield segment.phase, segment.first, unpacked_steps(read_segment(self.directory, segment))
 
     def failures(self, group: int) -> list[FailedSolves]:
-        """Return the list of failed solves, with one entry for each file of steps with failures."""
+        """Return the list of failed solves, with one entry for each file of steps that contains failures."""
         return [
             _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments
@@ -217,7 +217,7 @@ class _GroupFiles:
         ]
 
     def append(self, configuration: str, pending: PendingGroup) -> Segment:
-        """Write a file of steps, then the state that lists it; remove older states; return the new segment."""
+        """Write a file of steps and a state that lists it; remove older states; return the entry for the file."""
         make_directory(self.directory)
         content = packed_steps(pending.steps, pending.failures)
         stats = pending.steps.stats

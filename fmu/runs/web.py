@@ -1,8 +1,8 @@
 """A web page that follows a run, for browsers on this machine or at the other end of an SSH tunnel.
 
-Everyone who knows the address may watch and stop the run. The address contains a random token, and every request
+Anyone who knows the address may watch and stop the run. The address contains a random token, and every request
 without the token is refused. A request whose Host header names another machine is also refused. This protects
-against DNS rebinding, in which another site's host name is made to point to this machine.
+against DNS rebinding, in which the host name of another site is made to point to this machine.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
 Request = socket.socket | tuple[bytes, socket.socket]
 _IDLE_S = 10.0
-"""Time in s for which a connection may be silent during its request."""
+"""Time in s for which a connection may be silent during a request."""
 _PATIENCE = 0.5
-"""Time in s for which stopping and closing wait until the reading of the directory has ended."""
+"""Longest time in s for which stopping and closing wait for a reading of the directory to end."""
 
 
 class WatchServer(ThreadingHTTPServer):
-    """A server of the page of a run. Failures of the server or of its clients never affect the run.
+    """Server of the web page of a run; failures of the server or its clients never affect the run.
 
     Parameters
     ----------
     directory : Path
         The directory of the run, as for `fmu.runs.status.RunReader`.
     every : float
-        Time in s between two readings of the directory.
+        Time in s between readings of the directory.
     host : str
         Address at which the server listens.
     port : int
@@ -58,12 +58,12 @@ class WatchServer(ThreadingHTTPServer):
     address : str
         Address of the page, with the token.
     closing : Event
-        Set when no more readings are to be sent.
+        Set when no more readings will be sent.
 
     Raises
     ------
     ValueError
-        If the directory holds no run, or the server cannot listen at host and port.
+        If the directory contains no run, or the server cannot listen at host and port.
     """
 
     daemon_threads = True
@@ -93,7 +93,7 @@ class WatchServer(ThreadingHTTPServer):
         self.address = f"http://{shown}:{self.server_port}/{self._token}/"
 
     def reading(self) -> RunReading:
-        """Return the state of the run, at most `every` seconds old; raise ValueError if the directory has gone."""
+        """Return the state of the run, at most `every` seconds old; raise ValueError if the directory is gone."""
         with self._lock:
             if not self.closing.is_set() and time.monotonic() - self._read_at >= self.every:
                 self._reading = self._reader.read()
@@ -103,8 +103,8 @@ class WatchServer(ThreadingHTTPServer):
     def stop_run(self) -> str:
         """Send SIGTERM to the process of the run; return the reason why this failed, or an empty string.
 
-        The process is known from a new reading of the directory, or from the last reading if a reading by another
-        thread does not end within `_PATIENCE` seconds.
+        The process is taken from a new reading of the directory, or from the last one if another thread is reading
+        and does not finish within `_PATIENCE` seconds.
         """
         reading = self._reading
         if self._lock.acquire(timeout=_PATIENCE):
@@ -139,10 +139,10 @@ class WatchServer(ThreadingHTTPServer):
         return True
 
     def server_close(self) -> None:
-        """Close the server, and end the events of every open page.
+        """Close the server, and end the event streams of all open pages.
 
-        The server waits up to `_PATIENCE` seconds for a reading to end: a thread that Python ends inside HDF5
-        keeps the lock of HDF5, so that the process would not end.
+        The server waits up to `_PATIENCE` seconds for a reading to end. A thread that Python ends inside HDF5
+        would keep the HDF5 lock, and the process would hang.
         """
         self.closing.set()
         waited = self._lock.acquire(timeout=_PATIENCE)
@@ -151,27 +151,27 @@ class WatchServer(ThreadingHTTPServer):
             self._lock.release()
 
     def process_request(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a connection in a new thread, or close the connection if there are too many."""
+        """Answer a connection in a new thread, or close it if there are too many connections."""
         if self._open.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a connection, and then no longer count it as an open connection."""
+        """Answer a connection, and then remove it from the count of open connections."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._open.release()
 
     def finish_request(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a request; ignore the error of a client that has closed the connection."""
+        """Answer a request; ignore the error if the client has closed the connection."""
         with suppress(ConnectionError, TimeoutError):
             super().finish_request(request, client_address)
 
 
 def why_not_to_stop(reading: RunReading) -> str:
-    """Return the sentence that says why a run cannot be stopped on this machine; empty if it can be stopped."""
+    """Return a sentence that says why a run cannot be stopped from this machine; empty if it can be."""
     who = reading.at_work
     if who is None or reading.state != RUNNING:
         return "It is not running."
@@ -181,7 +181,7 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return a dict of the page's content: the reading, as ``fmu watch --json`` prints it, and its text."""
+    """Return the content of the page as a dict: the reading, as printed by ``fmu watch --json``, and its text."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,
@@ -198,28 +198,28 @@ def page_content(reading: RunReading) -> dict[str, object]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """A handler of one connection."""
+    """Handles one connection."""
 
     server: WatchServer
     server_version, sys_version = "fmu", ""
     timeout = _IDLE_S
 
     def setup(self) -> None:
-        """Start the time limit after which the connection is closed unless its headers are complete."""
+        """Start the time limit within which the headers must arrive, or the connection is closed."""
         super().setup()
         self._deadline = threading.Timer(self.server.request_s, self._close)
         self._deadline.daemon = True
         self._deadline.start()
 
     def parse_request(self) -> bool:
-        """Read the headers, and end the time limit."""
+        """Read the headers, and cancel the time limit."""
         try:
             return super().parse_request()
         finally:
             self._deadline.cancel()
 
     def finish(self) -> None:
-        """End the time limit and the connection."""
+        """Cancel the time limit, and close the connection."""
         self._deadline.cancel()
         super().finish()
 
@@ -242,7 +242,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "There is no such page.")
 
     def do_POST(self) -> None:
-        """Stop the run, unless the request comes from another page."""
+        """Stop the run, unless the request was sent by a different page."""
         origin = self.headers.get("Origin")
         if not self._is_admitted() or (origin is not None and not self._is_from_here(origin)):
             return

@@ -1,4 +1,4 @@
-"""Text on the state of a run: a description, a table of samplers and groups, and how to resume the run."""
+"""Text about the state of a run: a description, a table of samplers and groups, and how to resume the run."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fmu.runs.status import FINISHED, KILLED, RUNNING, SILENT, STOPPED, RunReade
 HEADER = ("sampler", "group", "state", "phase", "chains", "steps", "save age", "accept", "R-hat", "ESS", "solves",
           "per s", "failed", "left")  # fmt: skip
 WORDS = HEADER[:4]
-"""Columns with words instead of numbers."""
+"""Names of the columns that contain words and not numbers."""
 _PHASES = {"warmup": "warm-up", "draws": "draws"}
 _EXACT = 99_999  # largest number of steps that is written in full
 _LONG_S = 36_000.0  # time in s from which on only hours are given
 
 
 def state_of(reading: RunReading) -> str:
-    """Return the state of a run in words, with the process that runs it if there is one."""
+    """Return the state of a run in words, with the process that is running it, if any."""
     who = reading.at_work
     if who is None or reading.state in (STOPPED, FINISHED):
         return reading.state
@@ -36,7 +36,7 @@ def state_of(reading: RunReading) -> str:
 
 
 def rows(reading: RunReading) -> list[tuple[str, ...]]:
-    """Return the table rows below `HEADER`: for each sampler, a row for all groups, then one row per group."""
+    """Return the table rows below `HEADER`: for each sampler, one row for all groups and then one per group."""
     return [row for sampler in reading.samplers for row in _rows(sampler)]
 
 
@@ -50,7 +50,7 @@ def to_resume(reading: RunReading) -> str:
 
 
 def why_no_traces(directory: Path) -> str:
-    """Return a message on a directory without traces, which says if its run goes on or can be resumed."""
+    """Return a message about a directory without traces, saying if its run is under way or can be resumed."""
     try:
         reading = RunReader(directory).read()
     except (ValueError, OSError):
@@ -102,7 +102,7 @@ def _format_number(value: float, digits: int) -> str:
 
 
 def _age(seconds: float) -> str:
-    """Return a time as a whole number of its largest unit: d, h, min or s."""
+    """Return a time as a whole number in its largest unit: d, h, min or s."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
             return f"{fixed(seconds / size, 0)} {unit}"

@@ -139,6 +139,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the ratio of the upper limit on a standard deviation to that of the sample, for n values."""
+    """Return the ratio of the upper limit on a standard deviation to the sample's, for n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

@@ -93,7 +93,7 @@ def _temperature(ndim: int) -> float:
 
 
 def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
-    """Return the kurtosis of points x (n, ndim) with weights (n,) relative to that of a Gaussian (Mardia 1970)."""
+    """Return Mardia's (1970) kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian's."""
     n, z = x.shape[1], standardise(x, weight)[0]
     return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
 
