@@ -85,7 +85,7 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns True once SIGINT or SIGTERM was received, for work that stops between steps.
+    """Yield a function that returns True after SIGINT or SIGTERM, so that work can stop between two steps.
 
     If a step takes longer than `GRACE_S` after the signal, a KeyboardInterrupt interrupts it, provided that the
     system has a timer. A second signal interrupts at once. Blocks can be nested: one signal stops all of them.

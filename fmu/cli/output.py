@@ -34,7 +34,7 @@ def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
 
 
 def _is_left_empty(directory: Path) -> bool:
-    """Return True if a directory holds only the files of a run that was killed in its first seconds."""
+    """Return True if a directory contains only the files of a run that was killed in its first seconds."""
     from fmu.runs.lock import FILE, LOCK, PHASE
 
     if directory.is_symlink() or not directory.is_dir():

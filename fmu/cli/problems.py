@@ -80,7 +80,7 @@ def init(kind: str, directory: Path | None) -> None:
     KIND is the type of model: a frame of beams, matrices from a finite-element program, matrices that it exported
     at several values of the parameters, a command that runs such a program (CalculiX; or nastran), a model in
     OpenSees, or a Python function. The template is printed (fmu init frame > beam.toml), or written to DIRECTORY
-    with the files that it needs; files that exist are never replaced.
+    with the files that it needs; existing files are never replaced.
     """
     if directory is not None:
         click.echo(f"Written to {write_template(kind, directory)}")
@@ -170,8 +170,8 @@ def plan(
     """Plan a modal test of CASE: a built-in problem, or a TOML file.
 
     Chooses the sensors that reduce the uncertainty of the parameters most, and says what they are expected to
-    tell. A file with a table [plan] needs no measurement. Writes a page (index.html), the sensors as CSV and as a
-    universal file, and a table [measurement] to be filled in.
+    reveal. A file with a table [plan] needs no measurement. Writes a page (index.html), the sensors as CSV and as
+    a universal file, and a table [measurement] to be filled in.
     """
     with progress_lines(f"planning {case}"):
         asked = problem_of(case, None)

@@ -27,7 +27,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEX
 
 
 class Task(NamedTuple):
-    """One task of a sequence, as it waits or runs."""
+    """One task of a sequence, waiting or running."""
 
     sequence: int
     work: Callable[..., object]

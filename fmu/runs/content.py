@@ -89,7 +89,7 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
 
 
 def writable(text: str) -> str:
-    """Return the text with NUL and invalid Unicode, which a user's message may contain, escaped for HDF5."""
+    """Return text with NUL and invalid Unicode, which messages of users may contain, escaped for HDF5."""
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
 
 

@@ -38,7 +38,7 @@ class Identity:
         return configuration_hash({"configuration": self.configuration, "versions": self.versions})
 
     def write(self, directory: Path) -> None:
-        """Write the identity into the directory of the run."""
+        """Write the identity to the directory of the run."""
         payload = canonical_json({"configuration": self.configuration, "versions": self.versions}).encode()
         write_durably(directory / FILE, add_checksum(TITLE, payload))
 
@@ -79,7 +79,7 @@ class Identity:
 
 @cache
 def arithmetic() -> str:
-    """Return a description of the CPU and BLAS types, which affect the last bits of results as versions do."""
+    """Return a description of the CPU and BLAS types, which affect the last bits of the results."""
     from threadpoolctl import threadpool_info
 
     blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")

@@ -205,7 +205,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _IDLE_S
 
     def setup(self) -> None:
-        """Start the time limit within which the headers must arrive, or the connection is closed."""
+        """Start the time limit after which the connection is closed if its headers are incomplete."""
         super().setup()
         self._deadline = threading.Timer(self.server.request_s, self._close)
         self._deadline.daemon = True

@@ -195,7 +195,7 @@ class Learner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Restore a state that `state` of another learner returned."""
+        """Restore a state that the `state` method of another learner returned."""
         self.step, self.covariance, self._log_prob = state["step"], state["covariance"], state["log_prob"]
         history = state["history"]
         self._history = list(zip(*(history[name] for name in _HISTORY if name in history), strict=True))

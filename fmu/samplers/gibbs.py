@@ -154,7 +154,7 @@ class _Target(ExactGradient):
         self.lower, self.upper, self.ndim = marginal.lower, marginal.upper, len(marginal.lower)
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the log-densities and their gradients; `chain` is as in `Target.log_prob`."""
+        """Return the log-densities and their gradients; `chain` is explained in `Target.log_prob`."""
         value, gradient, self.linear = self.marginal.log_prob_and_grad(
             position, self.theta[chain], REGULAR if self.scales is REGULAR else self.scales[chain]
         )
@@ -324,13 +324,13 @@ class GibbsKernel:
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
-        """Return the part of the log-density in time that contains the scores of each test, (chains, n_tests)."""
+        """Return the log-density terms due to correlation in time of each test's scores, (chains, n_tests)."""
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
 
     def _terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standard normal scores."""
+        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standardised scores."""
         layout = self.conditionals.scores.layout
         terms = self.problem.likelihood.terms(layout.of_model(theta))
         if np.count_nonzero(np.isfinite(terms)) == terms.size:
@@ -384,7 +384,7 @@ class GibbsTuner:
         self._take()
 
     def finish_learning(self) -> GibbsSampler:
-        """Return the settings learnt."""
+        """Return the learnt settings."""
         return replace(self.sampler, step_size=float(np.exp(self.averaging.averaged)))
 
     def state(self) -> Tree:

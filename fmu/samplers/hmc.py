@@ -184,7 +184,7 @@ class HamiltonianTuner:
         self._take_step_size()
 
     def finish_learning(self) -> HamiltonianMonteCarlo:
-        """Return the settings learnt."""
+        """Return the learnt settings."""
         step_size = float(self._limit_step(np.mean(self.averaging.averaged)))
         inverse_mass = self.sampler.inverse_mass
         if inverse_mass is None and self.learner.covariance is not None:

@@ -92,8 +92,8 @@ class RandomWalks:
 class LogNormalWalk:
     """Multiplicative random walk above `origin`: candidate − origin = (position − origin) exp(s z), z ~ N(0, 1).
 
-    The walk is asymmetric. With the position x and the candidate x' measured from the origin, q(x' | x) =
-    N(log x'; log x, s²)/x', so that log q(x | x') − log q(x' | x) = Σ log(x'/x).
+    The walk is asymmetric. With the position x and the candidate x' measured from the origin, q(x' | x) = N(log
+    x'; log x, s²)/x', so log q(x | x') − log q(x' | x) = Σ log(x'/x).
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class Slice(LocalSampler):
         Width of the initial interval along each axis, in scaled units. By default, widths and axes are learnt in
         warm-up.
     axes : None or matrix (ndim, ndim)
-        Directions of the intervals, as orthonormal columns. If None, the coordinate axes.
+        Directions of the intervals, as orthonormal columns; the coordinate axes by default.
     spread : float
         Width that adaptation gives to the interval on an axis, in standard deviations of the target along it.
     max_steps_out : int
@@ -49,8 +49,8 @@ class Slice(LocalSampler):
 
     Notes
     -----
-    Step 3 in section 4.2 of the paper prints the test Y ≤ P(E_0), which must use the candidate E_1 instead. A new
-    level and a new interval are drawn for every sample.
+    Step 3 in section 4.2 of the paper is printed with the test Y ≤ P(E_0); the candidate E_1 must be tested
+    instead. A new level and a new interval are drawn for every sample.
 
     References
     ----------
@@ -244,7 +244,7 @@ class SliceTuner:
             self._take_covariance()
 
     def finish_learning(self) -> Slice:
-        """Return the settings learnt."""
+        """Return the learnt settings."""
         return self.settings
 
     def state(self) -> Tree:

@@ -131,7 +131,7 @@ class ExactGradient(WithGradient):
         return Slope(log_prob, gradient, finite, np.full(len(position), self.solves_per_gradient, dtype=np.int64))
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the log-densities and their gradients; `chain` is as in `log_prob`."""
+        """Return the log-densities and their gradients; `chain` is explained in `Target.log_prob`."""
         found: tuple[FloatArray, FloatArray] = self.density.log_prob_and_grad(position)
         return found
 

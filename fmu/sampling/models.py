@@ -22,7 +22,7 @@ def compare_models(
     until_ess: Positive = 400.0,
     seed: Seed = 1,
 ) -> ModelComparison:
-    """Compare models of the same data: with different parameters, priors, structures or discrepancies.
+    """Compare models of the same data that differ in parameters, priors, structure or discrepancy.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def compare_models(
         - ``held_out``: number of modes that every model predicts from the other modes (`fmu.leave_one_out`);
         - ``inside``: number of these modes that lie in their 90 % predictive intervals;
         - ``sum_z2``: Σ z² over these modes, where z is the error of the prediction in standard deviations;
-        - ``elpd``, ``elpd_se``: their log predictive density, and its standard error over the modes;
+        - ``elpd``, ``elpd_se``: log predictive density of these modes, and its standard error;
         - ``p``: probability of a larger χ² of the residuals if the model is right (`fmu.diagnose`);
         - ``verdict``: whether the data contradict the model;
         - ``converged``, ``wall_s``: whether the draws have converged, and the time they took in s, including

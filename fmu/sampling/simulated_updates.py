@@ -74,7 +74,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
     truth : ndarray, shape (p,)
         True parameters of the simulated test.
     scale : ndarray, shape (p, p)
-        L with LLᵀ the covariance of the parameters before the test.
+        Factor L of the covariance LLᵀ of the parameters before the test.
     """
     draws = parameter_draws(trace).reshape(-1, problem.ndim)
     information = problem.quadratic(np.stack([truth, draws.mean(axis=0)]))[2] + np.linalg.inv(scale @ scale.T)
@@ -115,7 +115,7 @@ class Updates:
 
     @classmethod
     def of(cls, updates: Sequence[Update]) -> Self:
-        """Return the updates of all tests."""
+        """Stack the updates of all tests."""
         return cls(**{one.name: np.array([getattr(u, one.name) for u in updates]) for one in fields(cls)})
 
     def explain(self, test: int, k: int, expected: float) -> dict[str, object]:

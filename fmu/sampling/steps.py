@@ -297,7 +297,7 @@ def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
 
 
 def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
-    """Return the engine that runs the tasks; an engine that is created here is closed with the stack."""
+    """Return the engine that runs the tasks; if it is created here, `stack` closes it."""
     from fmu.engines import engine
     from fmu.engines.base import Engine
 

@@ -103,7 +103,10 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
 
 
 def largest_sd_shift(posterior: FloatArray) -> float:
-    """Return the largest ½ sd(z²) of any parameter, from draws (N, ndim); times sd(w), it limits sd changes."""
+    """Return the largest ½ sd(z²) of any parameter, from draws (N, ndim).
+
+    Multiplied by sd(w), it bounds the relative change of any posterior standard deviation; see `upper_shift`.
+    """
     z = (posterior - posterior.mean(axis=0)) / posterior.std(axis=0)
     return float(0.5 * np.max(np.std(z**2, axis=0)))
 
@@ -112,7 +115,7 @@ def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int
     """Return the smallest number of draws for which `upper_shift` is likely to be within `tolerance`.
 
     The number is between `fewest` and `most`; 0 if even `most` draws are not enough. `sd` is the expected standard
-    deviation of the errors. For a margin, the standard deviation of the sample is assumed to be larger by the
+    deviation of the errors. As a margin, the standard deviation of the sample is assumed to be larger by the
     factor `_MARGIN`, and the changes of the means to be `_MARGIN` standard errors.
     """
     of_sds = largest_sd_shift(posterior)

@@ -115,7 +115,7 @@ class SecondStage:
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:
-        """Solve the model at any of the first n proposals of each chain that have not been solved yet."""
+        """Solve the model at all unsolved proposals among the first n of each chain."""
         chains = len(self.theta)
         rows = -(-_TURNS * workers // chains)
         for first in range(self._n, n, rows):

@@ -149,7 +149,7 @@ class Run:
         ValueError
             If `draws` is not a whole number of at least 1.
         Interrupted
-            If the run was asked to stop.
+            If the run was stopped on request.
         """
         target = self._drawn + whole_number("draws", draws, 1)
         self._advance(DRAWS, target)

@@ -25,8 +25,8 @@ def starting_points(
     scaled : ScaledDensity
     init : "prior", "start" or array_like
         "prior": draws from ``density.sample_prior``. "start": ``density.start`` for every chain; the walkers of an
-        ensemble are spread around this point with standard deviation `BALL`, as they must span the space. An array
-        contains the starting points theta, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
+        ensemble are spread around this point with standard deviation `BALL`, because they must span the space. An
+        array contains the starting points theta, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
     generators : list of Generator
         One generator per group; the chains are divided equally among the groups.
     chains, walkers : int

@@ -151,7 +151,7 @@ class MixtureSampler(Sampler):
         return MixtureTuner(self, density, chains, steps) if self.adapt else None
 
     def mixture(self, density: LogDensity) -> Mixture | CurvedMixture | None:
-        """Return the mixture of the components; None if there are no components."""
+        """Return the mixture made of the components; None if there are none."""
         if self.components is None or isinstance(self.components, CurvedMixture):
             return self.components
         warp, wide = first_warp(density), WIDE if self.wide is None else self.wide

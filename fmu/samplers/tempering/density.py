@@ -32,7 +32,7 @@ class Points(NamedTuple):
     likelihood_gradient: FloatArray | None = None
 
     def each(self, change: Callable[..., FloatArray], *others: Points) -> Points:
-        """Return points made by applying `change` to each array, together with the same array of all `others`."""
+        """Apply `change` to each array and the corresponding arrays of `others`; return the resulting points."""
         changed: Any = (None if a is None else change(a, *b) for a, *b in zip(self, *others, strict=True))
         return Points(*changed)
 

@@ -19,7 +19,7 @@ LOG_LIKELIHOOD = "rung_log_likelihood"
 
 @dataclass(frozen=True)
 class TemperingKernel:
-    """Parallel-tempering kernel bound to a density; each rung above the prior has its own one of the `kernels`.
+    """Parallel-tempering kernel bound to a density, with one of the `kernels` for each rung above the prior.
 
     The extra arrays of the State are:
 
@@ -104,7 +104,7 @@ class TemperingKernel:
         return end.each(lambda a: a.reshape(rungs, chains, *a.shape[1:])), info
 
     def _order_after_swaps(self, rng: np.random.Generator, log_likelihood: FloatArray, first: int) -> IntArray:
-        """Return the rung from which each rung takes its replica, (rungs, chains), by swaps of even or odd pairs.
+        """Return the rung that each rung's replica comes from after swaps of even or odd pairs, (rungs, chains).
 
         A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where
         l is the log-likelihood: the priors cancel in the ratio of the joint densities after and before the swap.

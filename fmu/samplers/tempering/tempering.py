@@ -162,7 +162,7 @@ class LadderTuner:
             self._take_kernels([tuner.kernel for tuner in self.tuners])
 
     def finish_learning(self) -> Tempering:
-        """Return the settings learnt."""
+        """Return the learnt settings."""
         kernel = tuple(tuner.finish_learning() for tuner in self.tuners) or self.sampler.kernel
         return replace(self.sampler, kernel=kernel, temperatures=self.temperatures, rungs=len(self.temperatures))
 

@@ -143,7 +143,7 @@ class MixtureTuner:
         return spent
 
     def finish_learning(self) -> Sampler:
-        """Return the settings learnt."""
+        """Return the learnt settings."""
         if self.mixture is None:
             self._fit_to_draws()
         assert self.mixture is not None
