@@ -32,11 +32,11 @@ def _as_in_run(command: click.Command) -> click.Command:
 def compare(context: click.Context, case: str, out: Path | None, pairing: str | None, **orders: object) -> int:
     """Compare samplers on one problem, with emcee as the baseline.
 
-    For a built-in problem or a TOML file, runs mh, slice, hmc, emcee and mixture after one search for maxima,
-    until R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. Each continues until it
-    has converged; emcee also needs a run of 50 autocorrelation times. Writes the same files as fmu run, into
-    compare/CASE-PAIRING. For the directory of a run, compares the traces in it; for a directory written by fmu run
-    --discrepancy all, compares the discrepancies.
+    For a built-in problem or a TOML file, searches for the maxima and then runs mh, slice, hmc, emcee and mixture.
+    Each runs until R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. emcee also
+    needs a run of 50 autocorrelation times. Writes the same files as fmu run, into compare/CASE-PAIRING. For the
+    directory of a run, compares the traces in it; for a directory written by fmu run --discrepancy all, compares
+    the discrepancies.
     """
     if Path(case).is_dir():
         _compare_run(Path(case))

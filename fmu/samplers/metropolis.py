@@ -264,9 +264,9 @@ class MetropolisTuner:
     and each window improves it (Haario, Saksman & Tamminen 2001).
 
     The random walk has the covariance s²·S, where S is the covariance of the last window. The scale s is adapted
-    until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44 in one
-    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion
-    (Andrieu & Thoms 2008, algorithm 4).
+    until the acceptance rate is at its optimum: 0.44 in one dimension and 0.234 in many (Gelman, Roberts & Gilks
+    1996). The rate is averaged over the chains that have reached the bulk. The adaptation is a Robbins–Monro
+    recursion (Andrieu & Thoms 2008, algorithm 4).
     """
 
     def __init__(self, sampler: MetropolisHastings, density: LogDensity, steps: int) -> None:

@@ -11,9 +11,9 @@ from fmu.types import FloatArray
 class SnookerMove(RedBlueMove):
     """Move along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
 
-    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). This class exists
-    because emcee's own ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the
-    exponent, which does not leave the target invariant.
+    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). emcee's own
+    ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the exponent. It does not
+    leave the target invariant and is therefore replaced by this class.
 
     Parameters
     ----------

@@ -49,8 +49,8 @@ class ErrorLimits(NamedTuple):
     def of(cls, errors: FloatArray, draws: FloatArray, posterior: FloatArray, expected: float) -> ErrorLimits:
         """Return the limits for errors (n,), which are not finite where the slow model failed.
 
-        `shift` is the larger of `upper_shift` and `expected`, the standard deviation of e over the posterior as
-        predicted by the surrogate, because a few draws may miss small regions with large errors.
+        `shift` is the larger of `upper_shift` and `expected`, because a few draws may miss small regions with
+        large errors. `expected` is the standard deviation of e over the posterior, as predicted by the surrogate.
         """
         finite = np.isfinite(errors)
         n, n_failed = len(errors), int(np.sum(~finite))

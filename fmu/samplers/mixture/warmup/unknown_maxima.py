@@ -58,9 +58,9 @@ class NewMaximum(NamedTuple):
 def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[list[NewMaximum], IntArray]:
     """Return the list of maxima that a mixture misses, and the numbers of evaluations, shape (chains,).
 
-    The search climbs from a point of `seen` if log w = log P − log q is well above its median there, and a valley
-    lies between the point and the component responsible for the point. Positions of chains are checked first,
-    because a chain at a low maximum without a component would hardly leave it. All other points must have a
+    The search climbs from a point of `seen` on two conditions: log w = log P − log q is well above its median
+    there, and a valley separates the point from the component responsible for it. Positions of chains are checked
+    first, because a chain at a low maximum without a component would hardly leave it. All other points must have a
     log-density close to that of the chains, and log w must also be well above its median for the candidates of all
     mixtures so far. A maximum that earlier candidates showed to be minor is thus not climbed again.
     """
