@@ -37,7 +37,8 @@ class Slice(LocalSampler):
         Width of the initial interval along each axis, in scaled units. By default, widths and axes are learnt in
         warm-up.
     axes : None or matrix (ndim, ndim)
-        Directions of the intervals, as orthonormal columns; the coordinate axes by default.
+        Directions of the intervals, as orthonormal columns; the coordinate axes if None. They are learnt in
+        warm-up unless `width` is given.
     spread : float
         Width that adaptation gives to the interval on an axis, in standard deviations of the target along it.
     max_steps_out : int

@@ -29,8 +29,7 @@ class TemperingKernel:
     - ``n_steps``, (): the number of steps taken.
 
     The extra statistics of the Info include ``round_trips``. `Info.parts` contains the diagnostics of the steps of
-    the replicas. Its leading axis has length (rungs − 1) · chains, rung by rung from the first one above the
-    prior.
+    the replicas. Its leading axis has length (rungs − 1) · chains, in order of the rungs above the prior.
     """
 
     parts: PriorAndLikelihood
