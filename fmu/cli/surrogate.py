@@ -130,7 +130,8 @@ def exact_draws(
         Bulk and tail ESS that every parameter must reach.
     most : int, optional
         Limit on solves, including those for the surrogate. Defaults to ten exact solves per effective draw.
-    workers : Engine **arguments
+    workers : Engine
+    **arguments
         Arguments of `fmu.sample`.
 
     Raises

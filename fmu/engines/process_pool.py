@@ -207,9 +207,9 @@ def _name_of_signal(number: int) -> str:
 def _quiet_start() -> Iterator[None]:
     """Block interrupts and hide the main module while a process starts.
 
-    A spawned process imports the main module of the program, which would itself start processes if it lacks ``if
-    __name__ == "__main__":``. Functions of the main module are pickled by value here, so no worker has to import
-    it.
+    A spawned process imports the main module of the program, which would itself start processes if it lacks
+    ``if __name__ == "__main__":``. Functions of the main module are pickled by value here, so no worker has to
+    import it.
     """
     with _starting:
         main = sys.modules["__main__"]

@@ -104,13 +104,7 @@ class GibbsSampler(Sampler):
             object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
 
     def bind(self, density: LogDensity) -> GibbsKernel:
-        """Return the kernel that samples `density`.
-
-        Raises
-        ------
-        ValueError
-            If `density` is not a problem with populations, or has a discrepancy, which couples the tests.
-        """
+        """Return the kernel; raise ValueError unless `density` has populations over the tests and no discrepancy."""
         problem = density.density if isinstance(density, ScaledDensity) else density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
@@ -167,7 +161,10 @@ class GibbsKernel:
 
     Attributes
     ----------
-    scaled : ScaledDensity problem : UpdatingProblem conditionals : Conditionals metric : Metric
+    scaled : ScaledDensity
+    problem : UpdatingProblem
+    conditionals : Conditionals
+    metric : Metric
         Metric of the trajectories of the main parameters.
     step_size : ndarray, shape ()
         Step size of these trajectories.

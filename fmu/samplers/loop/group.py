@@ -31,7 +31,9 @@ class RunContext:
 
     Parameters
     ----------
-    density : LogDensity sampler : Sampler warmup : int
+    density : LogDensity
+    sampler : Sampler
+    warmup : int
         Number of warm-up steps.
     """
 
