@@ -44,7 +44,7 @@ class Identity:
 
     @classmethod
     def read(cls, directory: Path) -> Identity | None:
-        """Return the identity of the run in a directory, or None if there is none; raise DamagedError if damaged."""
+        """Return the identity of the run in a directory; None if there is none. DamagedError if it is damaged."""
         path = directory / FILE
         if not path.is_file():
             return None

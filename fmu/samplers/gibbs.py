@@ -104,7 +104,7 @@ class GibbsSampler(Sampler):
             object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
 
     def bind(self, density: LogDensity) -> GibbsKernel:
-        """Return the kernel; raise ValueError unless `density` has populations over the tests and no discrepancy."""
+        """Return the kernel; raise ValueError if `density` has no populations over tests, or has a discrepancy."""
         problem = density.density if isinstance(density, ScaledDensity) else density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
