@@ -69,7 +69,7 @@ USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
-    """The error of the reduced model exceeds its tolerance or its bound at retained draws."""
+    """A warning that the error of the reduced model exceeds its tolerance or its bound at retained draws."""
 
 
 def certify(
@@ -79,9 +79,9 @@ def certify(
 
     The errors of the frequencies are bounded by their residuals (`fmu.fem.reduced.residuals`) at up to 512 draws
     of small structures, and at fewer draws of larger structures or of several tests, chosen at random by the seed
-    of the trace. One in twelve of these draws is solved with the full model, and at least 16, or 8 if the
-    structure has 20 000 degrees of freedom or more (`fmu.fem.reduced.confirming`). The four draws with the largest
-    bounds are among them.
+    of the trace. One in twelve of these draws, including the four with the largest bounds, is solved with the full
+    model (`fmu.fem.reduced.confirming`). At least 16 draws are solved, or 8 if the structure has 20 000 degrees of
+    freedom or more.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def certify(
     full_solves : int
         ``problem.model.full_solves`` before the run.
     effort : Effort, optional
-        `USUAL` by default.
+        Defaults to `USUAL`.
 
     Returns
     -------
@@ -215,7 +215,7 @@ def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
 
 
 def _is_outside(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return 1 where a point lies outside the trained box, so that the full model is used, shape (n, n_modes)."""
+    """Return 1 for points outside the trained box, where the full model is used, else 0, shape (n, n_modes)."""
     outside = ~structure.within(points[:, : structure.n_parameters])
     return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
 

@@ -27,7 +27,7 @@ _PROBES, _PROBE_S = 5, 0.04
 _CERTIFIED = 64  # time of a certificate, in full solves
 _WORTH_S = 60.0
 _NEAR = (
-    0.1  # part of the way from the start to a prior draw, where the reduced model answers as it does in the run
+    0.1  # share of the way from the starting point to a prior draw, where the reduced model is used as in the run
 )
 _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
@@ -104,7 +104,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
 def estimates_in_words(parts: list[Estimate]) -> str:
     """Return the estimates in one line: ``hmc: about 36 000 solves, 12 min (at most 2 000 000 solves)``.
 
-    The time of the largest number of solves is not stated, because it does not estimate the time of the run.
+    The time for the largest number of solves is not stated, because it is not an estimate of the time of the run.
     """
     found = []
     for name, solves, seconds, most in parts:
@@ -140,7 +140,7 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 
 
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
-    """Return the time of one solve in seconds; for functions, the time of one call for each different test."""
+    """Return the time of one solve in seconds; for user functions, the time of the calls that one solve needs."""
     of_calls = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
     return _time_call(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 

@@ -84,7 +84,7 @@ class Evidence:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Reasons why the estimate is unreliable, one sentence each: missed regions, no agreement, heavy tails."""
+        """Reasons why the estimate is unreliable, one sentence each: missed regions, disagreement, heavy tails."""
         if self.method in OF_MIXTURE:
             tail = heavy_tail_in_words(self.pareto_k)
             return (*self.doubts, f"{tail}, and the error is underestimated") if tail else self.doubts
@@ -203,9 +203,9 @@ def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
-    """Return the standard error from the spread of the chains' estimates, NaN for one chain, and the larger error.
+    """Return the standard error from the spread of the chains' estimates, and the larger of it and `within`.
 
-    The larger error is that of `within` and this one.
+    The first error is NaN for a single chain.
     """
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     return between, float(np.fmax(within, between))

@@ -35,8 +35,8 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
     """Return log-evidence and its standard error by the optimal bridge (Meng & Wong 1996).
 
-    The error is that of Frühwirth-Schnatter (2004). In this error, the number of posterior draws is the effective
-    sample size of their terms, but at most `ratio` times their number.
+    The standard error follows Frühwirth-Schnatter (2004). In its formula, the number of posterior draws is
+    replaced by their effective sample size, which is at most `ratio` times their number.
 
     Parameters
     ----------

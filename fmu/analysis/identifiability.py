@@ -196,7 +196,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     if point.shape != (problem.ndim,) or not find_inside(point, problem.lower, problem.upper)[1]:
         raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
     roles = problem.layout.roles
-    if problem.is_hierarchical:  # at the population mean, where values follow the mean
+    if problem.is_hierarchical:  # linearise at the population mean, where all scores are zero
         problem = problem.with_layout(problem.layout.remove_centring())
         point = np.where([role.kind == "score" for role in problem.roles], 0.0, point)
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[: len(roles)]])

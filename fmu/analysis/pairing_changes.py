@@ -47,9 +47,9 @@ class PairingChanges:
     labels : tuple of str
         Labels of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
-        Share of all draws in which two measured modes are in the reverse of their order before updating.
+        Share of all draws in which the order of two measured modes is the reverse of their order before updating.
     rule : {"shape", "index", "soft"} or None
-        How modes are paired; None if the trace does not store the pairing, so that the following is unknown.
+        How modes are paired; None if the trace does not store the pairing. The attributes below are then unknown.
     constant : bool
         Whether the pairing cannot change: each measured mode is a fixed mode of a block, as was verified.
     project : int
@@ -61,7 +61,7 @@ class PairingChanges:
         Number of these draws with such a change in any mode.
     gap : ndarray, shape (n_modes,)
         Smallest relative distance in frequency to another computed mode over these draws; infinite if there is no
-        other mode. If the pairing is constant, only paired modes are compared, over all draws.
+        other mode. If the pairing is constant or unknown, only paired modes are compared, over all draws.
     """
 
     labels: tuple[str, ...]
@@ -147,9 +147,10 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
     Two kinds of change are possible. The *order* of the measured modes may differ from the order before updating.
     This is harmless as long as each mode keeps its shape. Or another *computed mode* may be paired with a measured
-    mode. If modes are paired one to one by MAC and veer, the log-probability then jumps. Gradient-based samplers
-    do not allow for jumps; with ``pairing="soft"`` there are none (`fmu.posterior.errors.mixture`). If the modes
-    cross without mixing (one symmetric, one antisymmetric), the log-probability stays smooth in any case.
+    mode. If modes are paired one to one by MAC and veer, the log-probability then jumps, which violates an
+    assumption of gradient-based samplers; with ``pairing="soft"`` it does not jump
+    (`fmu.posterior.errors.mixture`). If the modes cross without mixing (one symmetric, one antisymmetric), the
+    log-probability stays smooth in any case.
 
     Parameters
     ----------

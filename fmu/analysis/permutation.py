@@ -19,7 +19,7 @@ _TINY = 1e-300
 _PLACES = np.linspace(0.15, 0.85, 15)
 """Quantiles of a covariate at which a dependence on it may bend."""
 _FEWEST_BESIDE, _STRAIGHT = 4, 1e-6
-"""Fewest tests on either side of a bend; share of a bend below which it is a straight line at the tests."""
+"""Smallest number of tests on either side of a bend; relative size below which a bend counts as a line."""
 _AT_ONCE = 1_000_000
 """Number of array entries that are permuted at a time."""
 
@@ -114,7 +114,7 @@ def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatA
 
 
 def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the share of each centred sequence's variance that lies between groups, shape (n_orders, m).
+    """Return the share of the variance of each centred sequence that lies between groups, (n_orders, m).
 
     The matrix `of_group`, (n, n_groups), is one where a row belongs to a group, and zero elsewhere.
     """
@@ -148,7 +148,7 @@ class Bends:
     Attributes
     ----------
     places : ndarray, shape (n_places,)
-        From the 15 % to the 85 % quantile of x; empty if x has too few values.
+        Values of x from its 15 % to its 85 % quantile; empty if x has too few values.
     """
 
     def __init__(self, x: FloatArray) -> None:

@@ -182,7 +182,7 @@ def _evaluate(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> Floa
 
 
 NEAR_A_BOUND = 0.02
-"""Largest distance of a draw next to a bound, as a share of the range between the bounds."""
+"""A draw is next to a bound if it is closer to the bound than this share of the range between the bounds."""
 MORE_THAN_THE_PRIOR, LEAST_SHARE = 3.0, 0.05
 _WITHIN = 2.0
 
@@ -200,8 +200,9 @@ class AtBound(NamedTuple):
 def at_bounds(trace: xr.DataTree) -> list[AtBound]:
     """Return the parameters whose draws accumulate at a bound, which suggests values beyond the bound.
 
-    A parameter is listed if at least 5 % of the posterior, and three times as much as of the prior, lie within 2 %
-    of the range from the bound, and if the posterior mean is within two standard deviations of the bound.
+    A parameter is listed if at least 5 % of the posterior lies within 2 % of the range from the bound, and more
+    than three times the share of the prior there. Its posterior mean must also be within two standard deviations
+    of the bound.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))

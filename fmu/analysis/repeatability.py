@@ -112,10 +112,10 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     mode, the mean of r_1 over the modes, and the absolute correlation of each mode with the order. Each statistic
     is standardised by its mean and standard deviation over random orders. All modes are permuted together, since
     they may depend on each other. A statistic is significant if it exceeds the largest of all statistics in all
-    but 0.5 % of the random orders; independent tests of any distribution are then called dependent in less than 1
-    % of problems (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). With five tests or
-    fewer nothing can be significant. An autoregression of 0.7 in one mode is detected with a probability of one in
-    seven by ten tests, and of five in six by thirty.
+    but 0.5 % of the random orders. Independent tests of any distribution are then called dependent in less than
+    1 % of problems (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). With five tests or
+    fewer nothing can be significant. Ten tests detect an autoregression of 0.7 in one mode with a probability of
+    one in seven, thirty tests with a probability of five in six.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from fmu.types import FloatArray
 _CONFUSED = 0.5
 """The data confuse two parameters if their least constrained combination has components of this ratio or more."""
 LINEARISED_LEFT = 0.95
-"""A direction is uninformed if this share of its prior standard deviation remains in the linearised model."""
+"""A direction is uninformed if at least this share of its prior standard deviation remains, linearised."""
 _ALIKE = 0.05
 
 

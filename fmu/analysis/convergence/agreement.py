@@ -36,7 +36,7 @@ class Agreement(NamedTuple):
     sentence : str
         The result in one sentence, with the largest difference.
     left_out : tuple of str
-        Runs that do not meet the criterion, so that their standard errors are unreliable.
+        Runs that do not meet the criterion, and whose standard errors are therefore unreliable.
     """
 
     agrees: bool | None

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 TIMES = 20
 """Expected number of candidates required of each component; the actual number scatters by about a quarter."""
 _IN_DOUBT = 0.1
-"""Warm-up may underestimate the share of a component by this factor."""
+"""The warm-up may underestimate the share of a component by this factor."""
 
 
 class Candidates(NamedTuple):

@@ -85,9 +85,9 @@ class Diagnosis:
         bounds, shapes unlike the measured ones, a pairing that jumps. Also warnings about the data: parameters
         that the data did not update, repeated tests that are not independent.
     doubts_of_search : tuple of str
-        Reasons why maxima that no chain visited are not excluded, one sentence each; empty if the search for
-        maxima was complete. A run that misses a maximum can pass all tests, so that with such a doubt it has
-        converged only locally.
+        Reasons why there may be maxima that no chain visited, one sentence each; empty if the search for maxima
+        was complete. A run that misses a maximum can pass all tests, so that with such a doubt it has converged
+        only locally.
     search : str
         Where the search of a plain log-density began and what it found; else empty.
     stopped : str
@@ -96,7 +96,8 @@ class Diagnosis:
         Whether the data contradict the model, and which checks could have failed; provisional if the run has not
         converged.
     few : str
-        What fewer than four ensembles of plain emcee cannot exclude, and the remedy; else empty.
+        A warning that fewer than four ensembles of plain emcee cannot exclude separate modes, and the remedy; else
+        empty.
     """
 
     converged: bool
@@ -255,7 +256,7 @@ def judge(
 
 
 def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
-    """Return reasons why maxima that no chain visited are not excluded, one sentence each.
+    """Return reasons why there may be maxima that no chain visited, one sentence each.
 
     Parameters
     ----------

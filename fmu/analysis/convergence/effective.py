@@ -198,7 +198,7 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
     from scipy.fft import irfft, next_fast_len, rfft
 
     steps = paths.shape[1]
-    padded = next_fast_len(2 * steps, real=True)  # zeros keep the end of a path from its beginning
+    padded = next_fast_len(2 * steps, real=True)  # zero padding separates the end of a path from its beginning
     power = np.abs(rfft(paths - paths.mean(), padded)) ** 2
     autocovariance = irfft(power.sum(axis=0), padded)[:steps]
     return autocovariance / autocovariance[0]

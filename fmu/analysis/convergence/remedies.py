@@ -126,7 +126,7 @@ def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: f
 
 
 APART = 1.2
-"""With an R-hat above this the chains are in different regions, and more draws may never make them agree."""
+"""If R-hat is above this, the chains are in different regions, and more draws may never make them agree."""
 SHORTEST_WARMUP = 1000
 RATIOS = "if one parameter sets the width of others, sample their ratios to that width instead of them"
 """The remedy for a funnel, in which steps of one length are too long in the neck and too short outside."""

@@ -73,7 +73,7 @@ def _may_have_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a sentence on each size of the errors of the modes themselves, of frequencies and of shapes."""
+    """Return a sentence on the size of each error of the modes: of their frequencies, and of their shapes."""
     found = []
     for key, what in (("sd", "relative error of the frequencies"), ("shape_sd", "error of the shapes")):
         if key not in settings:

@@ -83,7 +83,7 @@ if TYPE_CHECKING:
 _FEW = 500
 """Number of draws that suffices to find the factor on the residuals at which a check fails."""
 _MOST = 10.0
-"""If residuals fail only beyond this factor, they do not test a model without degrees of freedom left."""
+"""Residuals that fail only if they are larger by this factor do not test a model without degrees of freedom."""
 NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
 _TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
@@ -227,7 +227,7 @@ def _how(trace: xr.DataTree, mode: str) -> str:
 
 
 def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
-    """Return the check of a mode by its residuals after an updating that used this mode."""
+    """Return the check of a mode by its residuals after updating with this mode."""
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"
     if not group.sizes["quantity"] or mode not in map(str, group["mode"].to_numpy()):
@@ -350,7 +350,10 @@ def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list
 
 
 def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
-    """Return `factor` times the frequency noise in Hz, and in per cent of the first mode; else an empty string."""
+    """Return `factor` times the noise of the first mode's frequency as text, in Hz and in per cent.
+
+    The text is empty if the noise is not of frequencies.
+    """
     if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
         return ""
     mode = trace["posterior_predictive"]["mode"].to_numpy()[0]

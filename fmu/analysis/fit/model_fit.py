@@ -155,7 +155,7 @@ class ModelFit:
 
     @property
     def _allowed(self) -> tuple[str, ...]:
-        """Sentences on the scatter by which the error of the model is allowed for, or on how to allow for it."""
+        """Sentences on the scatter that allows for the error of the model, or on how to allow for it."""
         if self.verdict == CONTRADICTED and self.remedy:
             return (f"{self.remedy}.",)
         return tuple(f"{sentence}." for sentence in self.scatter)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 GROUP = "populations"
 _INFORMED = 0.05
-"""A score is skipped if the data remove less than this share of its prior variance."""
+"""A score is ignored if the data remove less than this share of its prior variance."""
 _FEWEST = 6
 _OUTLIER = 0.5
 _TO_CAUSES = 0.6

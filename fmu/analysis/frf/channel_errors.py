@@ -16,7 +16,7 @@ _EXPLAINS = 0.25
 _SIMPLER = 1.1
 """Ratio of the squared errors up to which reversed polarity is preferred to a gain near minus one."""
 _STEPS, _ROUNDS = 201, 4
-"""Numbers of delays that are tried at once, and of searches in ever smaller intervals."""
+"""Number of delays that are tried at a time, and number of searches in ever smaller intervals."""
 
 
 def explain_by_channel(one: xr.Dataset) -> str:

@@ -159,8 +159,8 @@ def _compare(
     """Return the comparison of the values marked in `held` (n_frfs, n_lines) with their prediction.
 
     Let z be the errors at a draw in standard deviations (real and imaginary parts), z̄ their mean over S draws,
-    and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and z̄ᵀ (I +
-    A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square.
+    and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and
+    z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square.
     """
     squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
     low, _, high = amplitude

@@ -58,7 +58,7 @@ GROUP = "leave_one_out"
 REFIT, WEIGHTS, NOT_USED = "refit", "importance weights", "not used in updating"
 _ENOUGH, _SHARE, _FREE_S = 400, 0.5, 5.0
 _A_REFIT, _REFITS = 0.5, 3.0
-"""Longest refit of one mode with unreliable weights, and of all such modes, as multiples of `_FREE_S`."""
+"""Longest time to refit one mode with unreliable weights, and all such modes, as multiples of `_FREE_S`."""
 _TIMED, _SEED = 64, 1
 _BEFORE_A_RUN = 24_000
 """Largest number of solves of a refit, if a separate run follows in case it is unreliable."""
@@ -234,7 +234,7 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, HeldOut]:
-    """Return the predictions by separate runs without each mode, by index, for the runs that converge."""
+    """Return the predictions from separate runs without each mode, by index, for the runs that converge."""
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
         for k in modes:
@@ -246,7 +246,7 @@ def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dic
 
 
 def _by_own_run(problem: UpdatingProblem, k: int) -> HeldOut | None:
-    """Return the prediction of mode `k` by a separate run without this mode; None if it does not converge."""
+    """Return the prediction of mode `k` from a separate run without this mode; None if it does not converge."""
     other = _without(problem, k)
     found = draws_without(other, _SEED)
     if found is None:
@@ -258,10 +258,7 @@ def _by_own_run(problem: UpdatingProblem, k: int) -> HeldOut | None:
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a warning about used modes without a prediction; empty if there are none.
-
-    Such modes have neither reliable weights nor a reliable refit.
-    """
+    """Return a list with a warning about used modes that have neither reliable weights nor a reliable refit."""
     table = kept_table(trace)
     if table is None:
         return []
@@ -276,7 +273,7 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOut:
-    """Return the prediction of mode `k` by the weighted draws; NaN if the weights are unreliable."""
+    """Return the prediction of mode `k` from the weighted draws; NaN if the weights are unreliable."""
     if smoothed is None:
         return HeldOut()
     if not smoothed.is_good:
@@ -286,14 +283,14 @@ def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOu
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws) -> HeldOut:
-    """Return the prediction of mode `k`, which was not used in updating, by the posterior."""
+    """Return the prediction of mode `k`, which was not used in updating, from the posterior."""
     log_p = _log_likelihood(with_mode(problem, k), draws) - _log_likelihood(problem, draws)
     row = _by_posterior(k, draws, log_p, trace["posterior"].sizes["chain"], walkers_of(trace))
     return row._replace(method=NOT_USED)
 
 
 def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
-    """Return the prediction of mode `k` by draws of a posterior without it, given its log-density there, (n,)."""
+    """Return the prediction of mode `k` from draws of a posterior without it, given its log-density there (n,)."""
     row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
@@ -304,10 +301,7 @@ def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers:
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
-    """Return the predictions by common candidates after updating without each of `modes`, by index.
-
-    Each prediction comes with its limit of solves. Modes that the candidates do not cover are left out.
-    """
+    """Return the predictions without each of `modes` and their limits of solves, if common candidates suffice."""
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
@@ -339,7 +333,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
 
 
 def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
-    """Return the prediction of mode `k` by the posterior without this mode; unreliable numbers are NaN."""
+    """Return the prediction of mode `k` from the posterior without this mode; unreliable numbers are NaN."""
     used = draws.problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:

@@ -1,4 +1,4 @@
-"""The posterior without a mode by a separate run of the mixture, for modes with unreliable importance weights."""
+"""Draws of the posterior without a mode from a separate run, for modes with unreliable importance weights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prediction of a measured mode by weighted draws of a posterior."""
+"""Prediction of a measured mode from weighted draws of a posterior."""
 
 from __future__ import annotations
 

@@ -36,16 +36,17 @@ if TYPE_CHECKING:
 ERROR, ACCEPTED = 0.02, 0.05
 """Target standard error of a log-density, and its largest accepted value."""
 SOLVES, MOST_SOLVES = 12_000, 120_000
-"""Usual smallest number, and largest number, of solves to leave out a mode."""
+"""Usual minimum and maximum number of solves to leave out a mode."""
 _PILOT = 512
 _FITS = 2
 WIDER = (1.0, 2.0)
 _FIRST, _FIRST_IN_ALL = 128, 2560
-"""Draws before the error is first estimated: of each proposal, and at least of all proposals together."""
+"""Draws from each proposal, and smallest number of draws from all, before the error is first estimated."""
 _FAIR, _TELLING = 10_000, 3000
-"""Draws after which an accepted error is not reduced further, and draws that show whether more would suffice."""
+"""Number of draws from which an acceptable error is not reduced further, and number from which one can predict
+whether more draws would suffice."""
 _LEAST = 6000
-"""Number of remaining solves that another round requires."""
+"""Smallest number of remaining solves for another round."""
 _ROUNDS = (12_000, 12_000, 20_000, 20_000, 60_000)
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
@@ -220,7 +221,7 @@ def _draw_until_enough(
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
-    """Return the comparison of both posteriors by as many draws as needed, and log P of both (2, n).
+    """Return the comparison of both posteriors from as many draws as needed, and log P of both (2, n).
 
     At most `most` draws are made. The function stops early if even these would be too few, because a better
     mixture is then needed.
@@ -267,7 +268,7 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
 
 
 def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
-    """Return the comparison of the posteriors without and with a mode, by draws from a density q.
+    """Return the comparison of the posteriors without and with a mode, from draws of a density q.
 
     The log-probabilities `log_p` have the shape (2, n): without and with the mode.
     """

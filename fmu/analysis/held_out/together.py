@@ -48,13 +48,13 @@ _EVEN = 0.25
 """If a posterior has fewer effective draws than this share of its part of the draws, chains explore the rest."""
 _WALKERS, _STEPS, _FLAT, _JITTER = 48, 100, 0.25, 1e-4
 _OF_PRIOR = 0.25
-"""Ratio of the draws from the prior to the draws for each posterior."""
+"""Ratio of the number of draws from the prior to the number of draws for each posterior."""
 
 
 def left_out_together(
     without: Sequence[UpdatingProblem], whole: UpdatingProblem, rng: np.random.Generator
 ) -> list[LeftOut]:
-    """Compare posteriors that each lack one mode with the posterior of all modes, by the same draws.
+    """Compare posteriors that each lack one mode with the posterior of all modes, using the same draws.
 
     Each posterior has a Gaussian around each of its maxima, fitted to the log-probability of draws from all
     posteriors (`fmu.analysis.held_out.candidates`). If these Gaussians do not cover a posterior well, as along a

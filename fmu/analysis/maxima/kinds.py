@@ -25,7 +25,7 @@ solution beyond; log P rises further."""
 VANISHING = 0.1
 """Largest gradient at a maximum, in nats per posterior standard deviation."""
 _FALL, _WITHIN = 0.05, 1e-5
-"""Smallest fall of a jump, nats, and its largest width, in posterior standard deviations."""
+"""Smallest fall of log P at a jump, nats, and largest width of a jump, in posterior standard deviations."""
 _AHEAD = np.logspace(-8.0, -1.0, 15)
 _HALVINGS = 40
 _LOW, _WIDER = 40.0, 28.0
@@ -105,5 +105,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Return whether the log-probability (n,) of each point is too low for it to have mass, however wide it is."""
+    """Return whether each maximum, by its log-probability (n,), is too low to have mass, however wide it is."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

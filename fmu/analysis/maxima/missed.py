@@ -196,9 +196,9 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 def _effective_weights(maxima: Maxima, k: int) -> float:
     """Return the effective sample size of the estimated mass of a maximum.
 
-    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. It is as certain that this
-    mass is almost zero as the masses of the other maxima are. Therefore the largest of their effective sample
-    sizes is returned.
+    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. That its mass is almost
+    zero is as certain as the masses of the other maxima are. Therefore the largest of their effective sample sizes
+    is returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 

@@ -34,7 +34,7 @@ def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def _tell_where(theta: FloatArray) -> Iterator[None]:
-    """Add a note with the point of evaluation to any error that a density raises, and raise it again."""
+    """Add a note with the point of evaluation to an error raised by a density, except NotImplementedError."""
     try:
         yield
     except NotImplementedError:
@@ -65,7 +65,7 @@ class PlainDensity:
     Attributes
     ----------
     region : str
-        Where the starting points of the search are drawn from, in words.
+        Description of the region from which the starting points of the search are drawn.
     is_bounded : bool
         Whether bounds or a prior limit the region of the maxima.
     """

@@ -33,7 +33,7 @@ _ENDS = {
     SLOPE: "where the search ended, and beyond: use more starts.",
 }
 NEGLIGIBLE = 0.01
-"""Largest share of the probability that a run may miss."""
+"""Share of the probability up to which a maximum is negligible: a run may miss it."""
 RELIABLE = 20.0
 """Effective number of draws required for the mass of a maximum."""
 

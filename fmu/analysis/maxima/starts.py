@@ -84,7 +84,7 @@ def choose_starts(
             return Starts("prior", "prior", "prior")
         theta, origin = _scatter_starts(plain, chains * walkers, seed), {"maxima": "scattered"}
     elif cast("UpdatingProblem", density).likelihood.has_discrepancy:
-        return Starts("prior", "prior", "prior")  # the typical point is found test by test, which it couples
+        return Starts("prior", "prior", "prior")  # no typical point: a discrepancy couples the tests
     else:
         from fmu.posterior.joint.conditional.both import scatter_about_typical
 

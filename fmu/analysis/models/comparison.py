@@ -235,7 +235,7 @@ def _cells(row: pd.Series) -> list[str]:
 def _sentences(
     table: pd.DataFrame, doubts: Mapping[str, Sequence[str]], held_out: Mapping[str, pd.DataFrame]
 ) -> list[str]:
-    """Return sentences on the evidences, the modes left out, missing values and doubts."""
+    """Return sentences on the evidences, the modes left out, missing values, and doubts about the evidences."""
     said = [*_of_evidences(table), *_of_held_out(table, held_out)]
     for name, reasons in doubts.items():
         if not np.isfinite(table["log_evidence"][name]):

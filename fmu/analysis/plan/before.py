@@ -1,8 +1,9 @@
-"""What is known before a planned test: parameters by their prior, the earlier tests or a run, and the structure.
+"""What is known before a planned test: the structure, and its parameters by their prior, earlier tests or a run.
 
-The parameters ψ of a plan are those of theta that matter for the planned test; the scores of this test in the
-populations; and, for a decision about damage after a single test, the losses since then. The parameters of the
-structure in the planned test are functions of ψ.
+The parameters ψ of a plan are the parameters in theta that matter for the planned test and the scores of this test
+in the populations. A score is the distance of a value from the population mean, in standard deviations. For a
+decision about damage after a single test, ψ also includes the losses since then. The parameters of the structure
+in the planned test are functions of ψ.
 """
 
 from __future__ import annotations
@@ -50,15 +51,15 @@ class Before:
     test : int
         Index of the test that the planned one resembles.
     every : ndarray, shape (n_every,)
-        Values of all parameters, of which ψ are some, at the reference: the start or, after earlier tests, the
-        mean of the posterior.
+        Values of all parameters, of which ψ is a subset, at the reference: the starting point or, after earlier
+        tests, the mean of the posterior.
     columns : ndarray of int, shape (P,)
         Indices of ψ among all parameters.
     parameters : tuple of Parameter
         The P parameters ψ.
     draws : ndarray, shape (n, P), SI units
     scale : ndarray, shape (P, P)
-        L with LLᵀ the covariance of ψ.
+        L, where LLᵀ is the covariance of ψ.
     losses : tuple of int
         For each loss since a single test, the index of its parameter in theta. These losses are the last ones of
         all parameters.
@@ -86,12 +87,12 @@ class Before:
 
     @property
     def data(self) -> ModalData:
-        """The modes of that test."""
+        """The measured modes of the test that the planned one resembles."""
         return self.problem.tests[self.test].data
 
     @property
     def _configuration(self) -> tuple[ModalModel, list[int]]:
-        """The model, and the indices of the structural parameters that it takes."""
+        """The model, and the indices of its parameters among the structural parameters."""
         whole = self.problem.model
         if not isinstance(whole, ModelInTests):
             return whole, list(range(whole.n_parameters))
@@ -100,7 +101,7 @@ class Before:
 
     @property
     def reference(self) -> FloatArray:
-        """ψ at the reference, shape (P,)."""
+        """Values of ψ at the reference, shape (P,)."""
         return self.every[self.columns]
 
     @property
@@ -141,7 +142,7 @@ class Before:
         return np.asarray(np.swapaxes((found[0] - found[1]) / distance[..., None], 1, 2))
 
     def chain(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the modes at the draws with derivatives by ψ instead of the parameters of the model."""
+        """Return the modes at the draws with derivatives with respect to ψ, not to the parameters of the model."""
         if not self.losses and self.problem.layout.is_identity:
             return seen
         assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
@@ -154,11 +155,11 @@ class Before:
         )
 
     def at(self, kept: BoolArray | None) -> Before:
-        """Return the same with some of the draws, by a mask (n,)."""
+        """Return this object with the draws that a mask (n,) keeps; all of them if it is None."""
         return self if kept is None else replace(self, draws=self.draws[kept])
 
     def only(self, needed: BoolArray) -> Before:
-        """Return the same with some of the parameters ψ, by a mask (P,); the others are integrated out."""
+        """Return this object with the parameters ψ that a mask (P,) selects; the others are integrated out."""
         if needed.all():
             return self
         covariance = (self.scale @ self.scale.T)[np.ix_(needed, needed)]
@@ -185,10 +186,10 @@ def known_before(
     ----------
     problem : UpdatingProblem
     trace : DataTree or None
-        A run, whose posterior is what is known. Without one: the prior of a problem of one test; the linearised
-        posterior of a problem of several tests.
+        A run, whose posterior is the knowledge. Without a run, the knowledge is the prior for a problem of one
+        test, and the linearised posterior for a problem of several tests.
     like : str or None
-        Name of the test that the planned one resembles; the last by default.
+        Name of the test that the planned one resembles. Defaults to the last test.
     losses : sequence of Parameter
         Losses since a single test, each with the name of a parameter of theta and " loss".
     n : int
@@ -198,8 +199,8 @@ def known_before(
     Raises
     ------
     ValueError
-        If the trace is of another problem, no test is named `like`, or a parameter has a value of its own in each
-        test.
+        If the trace is of another problem, no test is named `like`, a parameter has a separate value in each test,
+        or a hierarchical problem with a discrepancy has no trace.
     """
     tests, p = [test.name for test in problem.tests], problem.n_structural
     several = len(tests) > 1
@@ -252,7 +253,7 @@ def known_before(
 
 
 def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
-    """Return the structural parameters with a population, in the order of ``layout.drawn``."""
+    """Return the structural parameters that have a population, in the order of ``layout.drawn``."""
     layout = problem.layout
     return [p for p in layout.structural if p.name in layout.populations]
 
@@ -262,8 +263,8 @@ def _linearised_posterior(
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return draws from the linearised posterior of the tests, (n, n_structural), and reasons to doubt it.
 
-    Around each maximum the posterior is its Gaussian, within the bounds; where parameters scatter over the tests,
-    the draws lie about the typical point.
+    Around each maximum the posterior is approximated by its Gaussian, within the bounds. If parameters scatter
+    over the tests, the draws are around the typical point.
     """
     p = problem.n_structural
     if problem.is_hierarchical:

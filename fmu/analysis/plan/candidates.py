@@ -1,4 +1,4 @@
-"""Candidate sensors of a planned test: their places, their cost, and sensors that are mounted already."""
+"""Candidate sensors of a planned test: their places, their costs, and the sensors that are already mounted."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _TRANSLATIONS = ("x", "y", "z")
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The candidates of a plan.
+    """The candidate sensors of a plan.
 
     Attributes
     ----------
     sensors : tuple of (place, direction)
         All readings, one per row of the shapes.
     groups : ndarray of int, shape (n_candidates, d)
-        Rows of each candidate: one, or up to three of a triaxial sensor; −1 stands for no row.
+        Rows of each candidate: one, or up to three for a triaxial sensor; −1 stands for no row.
     mounted : tuple of int
         The candidates that are mounted already.
     cost : ndarray, shape (n_candidates,)
@@ -38,7 +38,7 @@ class Candidates:
     cost: FloatArray
 
     def rows(self, chosen: Sequence[int]) -> list[int]:
-        """Return the rows of some candidates, in their order."""
+        """Return the rows of the chosen candidates, in their order."""
         return [int(row) for k in chosen for row in self.groups[k] if row >= 0]
 
     def places(self, structure: SeparableModel) -> FloatArray | None:
@@ -58,13 +58,13 @@ class Candidates:
         return found
 
     def limits(self, count: int, budget: float, places: FloatArray | None, distance: float) -> Limits:
-        """Return the limits of a choice of `count` further candidates.
+        """Return the limits of a choice of `count` candidates in addition to the mounted ones.
 
         Raises
         ------
         ValueError
-            If there are fewer candidates than sensors, the budget is too small for one, or a distance is given
-            and coordinates are not known.
+            If there are fewer candidates than sensors, the budget is too small for a single one, or a distance is
+            given but coordinates are unknown.
         """
         free = len(self.groups) - len(self.mounted)
         if count > free:
@@ -96,19 +96,20 @@ def find_candidates(
     ----------
     structure : SeparableModel
     given : sequence of (place, direction), optional
-        All translations of the nodes by default.
+        Defaults to all translations of the nodes.
     mounted : sequence of (place, direction)
     exclude : collection of place
         Places out of reach.
     triaxial : bool
-        Whether one sensor reads all candidate directions of its place.
+        Whether one sensor reads all candidate directions at its place.
     costs : mapping of place to float
         Costs of the sensors at these places; 1 elsewhere.
 
     Raises
     ------
     ValueError
-        If a sensor does not exist, is given twice, or no candidate is left.
+        If a sensor or a place does not exist, a sensor is given twice, a cost is not positive, or no candidate is
+        left.
     """
     require_sensors(given, mounted, structure.sees, "must be a place and a direction that are free to move")
     require_places({place for place, _ in structure.dof_of} | _places(structure), exclude, costs)
@@ -119,7 +120,7 @@ def find_candidates(
 
 
 def _places(structure: SeparableModel) -> set[Any]:
-    """Return the places of a structure that may be fixed: points of its drawing, and ends of rigid arms."""
+    """Return places of a structure that exist even if they are fixed: points of its drawing, ends of arms."""
     drawn = set() if structure.geometry is None else set(structure.geometry.row_of)
     return drawn | set(structure.arms) | {place for place, _ in structure.motions}
 
@@ -127,7 +128,7 @@ def _places(structure: SeparableModel) -> set[Any]:
 def require_sensors(
     candidates: Sequence[Dof] | None, mounted: Sequence[Dof], exists: Callable[[Dof], bool], rule: str
 ) -> None:
-    """Raise ValueError with a rule if a candidate or a mounted sensor does not exist."""
+    """Raise ValueError, with `rule` in its message, if a candidate or a mounted sensor does not exist."""
     for key, sensors in (("candidates", candidates or ()), ("mounted", mounted)):
         for i, sensor in enumerate(sensors):
             if not exists(sensor):

@@ -1,4 +1,4 @@
-"""A planned test in numbers: scaled derivatives, expected errors, and the information that follows from them."""
+"""The numbers that describe a planned test: scaled derivatives, expected errors, and the resulting information."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fmu.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What determines the expected information of a test.
+    """The quantities that determine the expected information of a test.
 
     Attributes
     ----------
     parameters : tuple of Parameter
         The p parameters that the test depends on.
     scale : ndarray, shape (p, p)
-        L with LLᵀ the covariance of the parameters before the test, SI units.
+        L, where LLᵀ is the covariance of the parameters before the test, SI units.
     found : Sensitivities
     candidates : Candidates
     modes : tuple of int
@@ -31,7 +31,7 @@ class Design:
     frequency_sd : ndarray, shape (n_modes,)
         Relative standard deviations of the measured frequencies.
     shape_sd : float
-        Standard deviation of a shape's component, relative to its largest component at the candidates.
+        Standard deviation of a component of a shape, relative to the largest component at the candidates.
     target : ndarray, shape (n, t, p), or None
         Combinations of the scaled parameters that matter.
     """
@@ -56,7 +56,7 @@ class Design:
         return np.max(np.abs(self.found.seen.shapes), axis=1, keepdims=True)
 
     def frequency_information(self, modes: Sequence[int], sd: FloatArray) -> FloatArray:
-        """Return the information of the frequencies of some modes, with relative errors `sd`, (n, p, p)."""
+        """Return the information from the frequencies of some modes, with relative errors `sd`, (n, p, p)."""
         seen = self.found.seen
         assert seen.frequency_slopes is not None  # for the type checker
         picked = list(modes)
@@ -70,9 +70,9 @@ class Design:
         shape_sd: float | None = None,
         prior: FloatArray | None = None,
     ) -> Readings:
-        """Return the readings of the candidates, for these or other modes and errors; see `Readings`.
+        """Return the readings of the candidates, optionally for other modes and errors; see `Readings`.
 
-        `prior` is the information before the test, shape (n, p, p); the identity by default.
+        `prior` is the information before the test, shape (n, p, p). It defaults to the identity matrix.
         """
         seen, picked = self.found.seen, list(self.modes if modes is None else modes)
         assert seen.shape_slopes is not None  # for the type checker
@@ -88,11 +88,11 @@ class Design:
         return Readings(first, shapes, slopes, self.candidates.groups, self.target)
 
     def frequency_sd_of(self, modes: Sequence[int]) -> FloatArray:
-        """Return the relative errors of frequencies of some of the measured modes, by their indices."""
+        """Return the relative errors of the frequencies of some of the measured modes, given by their indices."""
         return np.array([self.frequency_sd[self.modes.index(i)] for i in modes])
 
     def sd_of(self, state: State) -> FloatArray:
-        """Return the expected standard deviations of the parameters, the mean over the draws, (p,), SI units."""
+        """Return the expected standard deviations of the parameters, averaged over the draws, (p,), SI units."""
         return np.asarray(np.mean(self.sd_at_draws(state), axis=0))
 
     def sd_at_draws(self, state: State) -> FloatArray:

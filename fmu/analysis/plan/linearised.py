@@ -1,4 +1,4 @@
-"""A planned test linearised, for each kind of model: its candidates, modes and derivatives."""
+"""Linearisation of a planned test for each kind of model: its candidate sensors, modes and derivatives."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from fmu.types import Dof, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Wishes:
-    """What the user asks of the sensors, modes and second tests; see `fmu.plan`.
+    """The user's requirements on sensors, modes and second tests; see `fmu.plan`.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Wishes:
 
     @property
     def of_sensors(self) -> tuple[Sequence[Dof], Collection[Any], bool, Mapping[Any, float]]:
-        """The last arguments of `find_candidates`."""
+        """The arguments of `find_candidates` that follow `given`."""
         return self.mounted, self.exclude, self.triaxial, self.costs
 
 
@@ -70,12 +70,12 @@ class Linearised:
     Attributes
     ----------
     found : Sensitivities
-        With derivatives by the parameters of `Before`.
+        With derivatives with respect to the parameters of `Before`.
     candidates : Candidates
     modes : tuple of int
         Indices of the modes to be measured among those of `found`.
     structure : SeparableModel or None
-        The structure in the planned test; None of a model without matrices.
+        The structure in the planned test; None for a model without matrices.
     places : ndarray, shape (n_candidates, 3), m, or None
     energy : ndarray, shape (rows,), or None
         Kinetic energy of the modes at each reading.
@@ -98,7 +98,7 @@ def linearise(before: Before, wishes: Wishes) -> Linearised:
     Raises
     ------
     ValueError
-        As `fmu.plan`, if the model cannot have such a test.
+        As in `fmu.plan`, if such a test of the model is not possible.
     """
     known = structure_of(before.model)
     if known is not None:
@@ -130,7 +130,7 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 
 
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
-    """Return the linearised test of a user's function or a surrogate, at sensors of its data."""
+    """Return the linearised test of a user's function or a surrogate, with the sensors of its data."""
     if wishes.changes:
         raise ArgumentError("changes", "need a model with matrices", before.model.name)
     there = _own_candidates(before, wishes.candidates, *wishes.of_sensors)
@@ -155,12 +155,12 @@ def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
 
 
 def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
-    """Return sensitivities by the parameters of `before` instead of the parameters of the model."""
+    """Return sensitivities to the parameters of `before` instead of the parameters of the model."""
     return replace(found, seen=before.at(found.kept).chain(found.seen))
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return the candidates without those that no mode moves; ValueError for one that the user has named."""
+    """Return the candidates without those that no mode moves. Raise ValueError if the user named one of these."""
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
     for k, rows in enumerate(there.groups):
@@ -186,7 +186,7 @@ def _own_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Return the candidates of a model without matrices: sensors of the problem's data."""
+    """Return the candidates for a model without matrices, which are sensors of the problem's data."""
     own = before.data.sensors
     if not (before.model.gives_shapes and own):
         rule = "must give shapes at the sensors of its data, which are the candidates of a model without matrices"
@@ -206,7 +206,7 @@ def _of_change(
 ) -> tuple[Sensitivities, tuple[int, ...]]:
     """Return the sensitivities of the changed structure at the same candidates, and its modes to be measured.
 
-    These are the modes most like those of the unchanged structure, by MAC at the candidates.
+    These are the modes most similar to those of the unchanged structure, by MAC at the candidates.
     """
     before = paired.observed(start[None]).shapes[0][:, list(picked)]
     try:
@@ -218,7 +218,7 @@ def _of_change(
 
 
 def kinetic_energies(paired: PairedStructure, start: FloatArray, modes: Sequence[int]) -> FloatArray:
-    """Return φ_q (Mφ)_q summed over some modes at the start, at each sensor, shape (rows,)."""
+    """Return φ_q (Mφ)_q at each sensor q, summed over some modes at parameters `start`, shape (rows,)."""
     phi = paired.shapes(start)[:, list(modes)]
     rows = paired.structure.observation(paired.sensors)
     return np.asarray(np.sum((rows @ phi) * (rows @ (paired.structure.M(start) @ phi)), axis=1))

@@ -1,4 +1,4 @@
-"""What else a test could be: other modes, repeats, and changes of the structure, with the information of each."""
+"""Alternatives to a planned test: other modes, repeats, and changes of the structure, and their information."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ AGAIN = "the same test again"
 """Row of the table of changes for a second test of the unchanged structure."""
 REPEATS = (1, 2, 3, 5, 10, 20)
 ENOUGH = 0.95
-"""Twice as many repeats are not worth it if the sds remain above this share."""
+"""More repeats are not worthwhile if the sds remain above this share of their value."""
 
 
 def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> pd.DataFrame:
-    """Return a table of what each mode tells at the chosen sensors, in nats.
+    """Return a table of the information from each mode at the chosen sensors, in nats.
 
-    Columns: ``frequency_hz`` at the start; ``alone``, the information of this mode only; ``needed``, the
+    Columns: ``frequency_hz`` at the reference; ``alone``, the information from this mode only; ``needed``, the
     information that is lost without it; ``frequency_only``, the information lost if its shape is not measured;
     ``twice_as_accurate``, the gain if the error of its frequency is halved.
     """
@@ -62,16 +62,16 @@ def _of(design: Design, matrix: FloatArray) -> float:
 
 
 def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.DataFrame:
-    """Return a table of the information of the mean of repeated tests, by their number.
+    """Return a table of the information from the mean of repeated tests, by the number of tests.
 
-    Repeats divide the variance of scatter by their number; a drift, of the same relative size in all frequencies,
-    remains. Columns: ``information`` in nats, ``median_sd``, the median over the parameters of the expected
-    standard deviation relative to the one before the test.
+    Repeats divide the variance of scatter by their number. A drift, with the same relative size in all
+    frequencies, remains. Columns: ``information`` in nats; ``median_sd``, the median over the parameters of the
+    expected standard deviation relative to the one before the test.
 
     Parameters
     ----------
     design : Design
-        Its errors are those of one test, without the drift.
+        The design with the errors of one test, without the drift.
     chosen : sequence of int
     drift : float
         Relative standard deviation of the frequencies that repeats do not reduce.
@@ -88,7 +88,7 @@ def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.Data
 
 
 def enough_repeats(table: pd.DataFrame) -> int | None:
-    """Return the smallest number of tests after which more of them hardly reduce the sds; None if all help."""
+    """Return the smallest number of tests beyond which more hardly reduce the sds; None if there is none."""
     sd = table["median_sd"].to_numpy()
     return next((int(table.index[k]) for k in range(len(sd) - 1) if sd[k + 1] > ENOUGH * sd[k]), None)
 
@@ -103,7 +103,7 @@ def change_table(
 
     Columns: ``gain``, the information in nats added to the test of the unchanged structure; ``median_sd`` and
     ``largest_sd`` over the parameters after both tests, relative to the standard deviation before them. The row
-    `AGAIN` is a second test without change. `changes` has the sensitivities of each changed structure, and the
+    `AGAIN` is a second test without a change. `changes` has the sensitivities of each changed structure, and the
     indices of its modes that are measured.
     """
     sd = np.sqrt(design.frequency_sd**2 + drift**2)
@@ -134,7 +134,7 @@ def change_table(
 
 
 def _common(one: Sensitivities, other: Sensitivities) -> tuple[IntArray, IntArray]:
-    """Return the rows of both that belong to draws which both have."""
+    """Return, for each of two sensitivities, the indices of its rows for the draws that both have."""
     n = max(len(s.seen.frequencies) if s.kept is None else len(s.kept) for s in (one, other))
     masks = [np.ones(n, dtype=bool) if s.kept is None else s.kept for s in (one, other)]
     both = masks[0] & masks[1]

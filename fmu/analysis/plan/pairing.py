@@ -1,4 +1,4 @@
-"""Whether the modes of a planned test could be told apart by MAC at its sensors."""
+"""Whether the modes of a planned test could be distinguished by MAC at its sensors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Pairing:
     wrong : ndarray, shape (m,)
         Share of the tests in which each measured mode was paired with another mode.
     taken_for : ndarray of int, shape (m,)
-        Index of the mode that each mode was most often taken for; its own if it never was.
+        Index of the mode that each mode was most often mistaken for; its own index if it never was.
     """
 
     wrong: FloatArray
@@ -34,7 +34,7 @@ class Pairing:
 
     @property
     def ok(self) -> bool:
-        """Whether every mode is paired correctly in enough tests."""
+        """Whether every mode is paired correctly in a sufficient share of the tests."""
         return bool(np.all(self.wrong <= MOST_WRONG))
 
 

@@ -1,4 +1,4 @@
-"""`fmu.plan`: which sensors, modes, repeats and changes of the structure tell most about its parameters."""
+"""`fmu.plan`: the sensors, modes, repeats and changes of the structure that best determine its parameters."""
 
 from __future__ import annotations
 
@@ -65,56 +65,57 @@ def plan(
     """Plan a modal test: choose the sensors that reduce the uncertainty of the parameters most.
 
     The model is linearised at draws from the prior or, with a trace, from the posterior of a run. The expected
-    information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J) is maximised by a greedy choice and exchanges; an upper bound by
-    convex relaxation says how far from the best choice the plan can be. Bounds and bent posteriors are not
-    counted: `fmu.simulate_plan` compares the plan with simulated tests. If the modes could not be paired by MAC
-    with the most informative sensors, only choices with which they can be are considered.
+    information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J) is maximised by a greedy choice and exchanges. An upper bound by
+    convex relaxation shows how far the plan can be from the best choice. Bounds of parameters and bent posteriors
+    are ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the modes could not be paired by
+    MAC with the most informative sensors, only choices that allow this pairing are considered.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        One test of a structure. Its data may be those of an earlier test, or those that the model predicts
-        (`fmu.expected_modes`); only the model and the prior are used, and the errors of the frequencies. Or
-        several tests (`fmu.JointProblem`): the next test is planned. What has been measured is then known before:
-        the linearised posterior of these tests or, with a trace, the posterior of a run.
+        One test of a structure, or several tests (`fmu.JointProblem`), of which the next is planned. The data of
+        one test may come from an earlier test or be predicted by the model (`fmu.expected_modes`): only the model,
+        the prior and the errors of the frequencies are used. After several tests, the knowledge before the planned
+        test is the linearised posterior of these tests or, with a trace, the posterior of a run.
     sensors : int
-        Number of sensors to choose, besides those that are mounted. With a budget, the largest number.
+        Number of sensors to choose, in addition to the mounted ones. With a budget, the largest number.
     candidates : sequence of (place, direction), optional
-        Where a sensor may be; every translation of every node by default. For a user's function or a surrogate:
+        Possible sensors. Defaults to every translation of every node or, for a user's function or a surrogate, to
         the sensors of the problem's data.
     triaxial : bool
-        Whether one sensor reads all candidate directions of its place.
+        Whether one sensor reads all candidate directions at its place.
     mounted : sequence of (place, direction)
         Sensors that stay where they are.
     exclude : sequence of place
         Places out of reach.
     min_distance : float, m
-        Smallest distance of two sensors.
+        Smallest distance between two sensors.
     costs : mapping of place to float, optional
         Costs of sensors at these places; 1 elsewhere.
     budget : float, optional
         Largest total cost of the chosen sensors.
     modes : int or sequence of int, optional
-        Number of modes to be measured, the lowest elastic ones that the candidates see; or the numbers of these
-        modes, from 1, among all elastic modes. As many as the problem has by default.
+        Number of modes to be measured, which are the lowest elastic modes that the candidates see; or the numbers
+        of these modes, from 1, among all elastic modes. Defaults to the number of modes of the problem.
     frequency_sd : float or array_like, shape (n_modes,), optional
-        Relative standard deviation of the frequencies in one test; by default the one of the problem, or 0.005.
+        Relative standard deviation of the frequencies in one test. Defaults to that of the problem, or to 0.005.
     shape_sd : float
         Standard deviation of a component of a shape, relative to its largest component at the candidates.
     drift : float
         Relative standard deviation of the frequencies that repeated tests do not reduce.
     target : str, sequence of str, mapping, callable or DamageTarget, optional
-        What the test is for, if not all parameters alike: names of parameters, a combination as weights by name,
-        a prediction that maps theta (n, ndim) to (n,), or a decision about damage (`fmu.DamageTarget`).
+        The purpose of the test, if not all parameters matter equally: names of parameters, a combination as
+        weights by name, a prediction that maps theta (n, ndim) to (n,), or a decision about damage
+        (`fmu.DamageTarget`).
     changes : mapping of str to Change, optional
         Known changes of the structure for a second test, by name.
     place_names : mapping of place to str, optional
-        Names of places in tables and files, such as those of nodes that have numbers.
+        Names of places in tables and files, for example of numbered nodes.
     like : str, optional
         With several tests, the name of the test that the planned one resembles in its group, masses, springs and
-        known parameters; the last one by default. Covariates have their means over the tests.
+        known parameters. Defaults to the last test. Covariates have their means over the tests.
     trace : DataTree, optional
-        A run of the same problem, whose posterior takes the place of the prior.
+        A run of the same problem, whose posterior replaces the prior.
     draws : int
         Number of draws at which the model is linearised.
     seed : int
@@ -128,7 +129,7 @@ def plan(
     ValueError
         If a sensor does not exist, there are fewer candidates than sensors, the candidates do not see a mode, no
         mode moves a candidate, the model gives no shapes, the target is not one of the parameters, or a parameter
-        has a value of its own in each test.
+        has a separate value in each test.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -188,9 +189,9 @@ def _choose(
     relaxed: Relaxed,
     can_pair: Callable[[Sequence[int]], bool],
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the choice with the most information, and the best one found whose modes can be paired.
+    """Return the most informative choice, and the most informative one whose modes can be paired.
 
-    If the modes cannot be paired with any, both are the first.
+    If the modes cannot be paired with any choice, both are the first.
     """
     rounded = [int(k) for k in np.argsort(-relaxed.weights, kind="stable")]
     most = choose(readings, limits, [usual[INDEPENDENCE], rounded])
@@ -201,7 +202,7 @@ def _choose(
 
 
 def _modes(data: ModalData, modes: int | Sequence[int] | None) -> int | tuple[int, ...]:
-    """Return the number of modes, or their indices from 0, ascending."""
+    """Return the number of modes, or their indices from 0 in ascending order."""
     if modes is None or isinstance(modes, int):
         return data.n_modes if modes is None else modes
     found = tuple(sorted(int(i) - 1 for i in modes))
@@ -224,7 +225,7 @@ def _frequency_sd(data: ModalData, given: ArrayLike | None, n_modes: int) -> Flo
 
 
 def _usual_choices(design: Design, limits: Limits, energy: FloatArray | None) -> dict[str, tuple[int, ...]]:
-    """Return a dict of the choices by the customary rules, by name: as many sensors as the budget allows."""
+    """Return the choices by the customary rules, by name, with as many sensors as the budget allows."""
     shapes, groups = design.found.nominal.shapes[0][:, list(design.modes)], design.candidates.groups
     rules: dict[str, Callable[[Limits], tuple[int, ...]]] = {
         INDEPENDENCE: lambda limits: baselines.effective_independence(shapes, groups, limits),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 PLANNED = "this plan"
 _BOUNDS, _STEPS = 8, 24  # numbers of sensors whose bound is computed, and steps of each
 UNKNOWN = 0.9
-"""A parameter stays unknown if its expected sd is above this share of its sd before the test."""
+"""A parameter remains unknown if its expected sd is above this share of its sd before the test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +43,12 @@ class Plan:
     before : Before
         What is known before the test.
     structure : SeparableModel or None
-        The structure in the planned test; None of a model without matrices.
+        The structure in the planned test; None for a model without matrices.
     design : Design
         Derivatives, candidates and errors.
     limits : Limits
     chosen : tuple of int
-        Candidates chosen, the most needed first; mounted ones are in `limits`.
+        Candidates chosen, the most important first; mounted ones are in `limits`.
     usual : dict of str to tuple of int
         Choices by the customary rules.
     places : ndarray, shape (n_candidates, 3), m, or None
@@ -59,7 +59,7 @@ class Plan:
     bound : float
         Information that no choice of as many sensors exceeds, in nats.
     curve : DataFrame
-        ``information`` by the number of the first sensors.
+        ``information`` of the first sensors, by their number.
     choices : DataFrame
         The plan and the customary choices: ``information``, ``median_sd`` (relative to the one before the test),
         ``largest_auto_mac`` off the diagonal, ``wrong_pairs``, the largest share of wrong pairings of a mode.
@@ -98,7 +98,7 @@ class Plan:
 
     @property
     def every(self) -> tuple[int, ...]:
-        """The candidates of the test: mounted ones, then those chosen."""
+        """The candidates of the test: mounted ones, then the chosen ones."""
         return (*self.limits.mounted, *self.chosen)
 
     @property
@@ -109,7 +109,7 @@ class Plan:
 
     @property
     def named_sensors(self) -> tuple[Dof, ...]:
-        """`sensors`, with the names of their places where these have names."""
+        """`sensors`, with the names of their places where they have names."""
         return tuple((self.place_names.get(place, place), direction) for place, direction in self.sensors)
 
     @property
@@ -124,12 +124,12 @@ class Plan:
 
     @property
     def auto_mac(self) -> FloatArray:
-        """AutoMAC of the measured modes at the sensors, at the start, shape (n_modes, n_modes)."""
+        """AutoMAC of the measured modes at the sensors, at the reference parameters, shape (n_modes, n_modes)."""
         shapes = self.design.found.nominal.shapes[0][:, list(self.design.modes)]
         return auto_mac(shapes, self.design.candidates.rows(self.every))
 
     def parameters(self) -> pd.DataFrame:
-        """Return a table of expected standard deviations, SI units, a row per parameter.
+        """Return a table of expected standard deviations, SI units, with one row per parameter.
 
         Columns: ``before`` the test, with ``frequencies`` alone, and ``after`` the test.
         """
@@ -142,7 +142,7 @@ class Plan:
         return data_frame(columns, "parameter", self.design.names)
 
     def losses(self) -> pd.DataFrame | None:
-        """Return a table of the losses that the test is for; see `Decision.expect`. None without such a target."""
+        """Return a table of the losses that the test is for, see `Decision.expect`; None without such a target."""
         if self.decision is None or self.design.target is None:
             return None
         readings = self.design.readings(frequency_sd=self.frequency_sd)
@@ -151,8 +151,8 @@ class Plan:
     def with_bounds(self) -> pd.DataFrame:
         """Return `curve` with a column ``bound``: the information that no choice of as many sensors exceeds.
 
-        The bound is computed for up to eight numbers of sensors, and NaN for the others. It is NaN everywhere with
-        a budget, which is not a number of sensors.
+        The bound is computed for up to eight numbers of sensors, and NaN for the others. With a budget, which does
+        not fix the number of sensors, it is NaN everywhere.
         """
         found, n = self.curve.copy(), len(self.chosen)
         bounds = np.full(n + 1, np.nan)
@@ -179,7 +179,7 @@ class Plan:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on what stands against the plan; it is recommended if there are none."""
+        """Reasons against the plan, one sentence each; the plan is recommended if there are none."""
         found, sd = [*self.before.doubts], self.parameters()
         for i, wrong in enumerate(self.pairing.wrong):
             if wrong > MOST_WRONG:
@@ -200,11 +200,11 @@ class Plan:
 
     @property
     def recommended(self) -> bool:
-        """Whether nothing stands against the plan."""
+        """Whether there are no reasons against the plan."""
         return not self.doubts
 
     def sentences(self) -> list[str]:
-        """Return sentences on what the plan is expected to tell."""
+        """Return sentences on the information that the plan is expected to give."""
         sd = self.parameters()
         ratio = sd["after"] / sd["before"]
         unknown = [str(name) for name, one in ratio.items() if one > UNKNOWN]
@@ -283,7 +283,7 @@ class Plan:
 
 
 def cell(value: object) -> str:
-    """Return the text of a table's cell: three digits of a number, and other values as they are."""
+    """Return the text of a table cell: a number with three digits, and other values as they are."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else ""
     return significant(float(value)) if isinstance(value, float) else str(value)
@@ -292,7 +292,7 @@ def cell(value: object) -> str:
 def choice_row(
     design: Design, readings: Readings, every: Sequence[int], pairing: Pairing, decision: Decision | None
 ) -> dict[str, float]:
-    """Return the row of `Plan.choices` of a choice of candidates."""
+    """Return the row of `Plan.choices` for a choice of candidates."""
     state, rows = readings.with_sensors(every), design.candidates.rows(every)
     shapes = design.found.nominal.shapes[0][:, list(design.modes)][rows]
     expected = {} if decision is None or design.target is None else decision.worst(design.target, state)
@@ -306,7 +306,7 @@ def choice_row(
 
 
 def information_curve(readings: Readings, limits: Limits, chosen: Sequence[int]) -> pd.DataFrame:
-    """Return a table of the information of the first sensors of a plan, by their number."""
+    """Return a table of the information from the first sensors of a plan, by their number."""
     state = readings.with_sensors(limits.mounted)
     values = [readings.value(state)]
     for k in chosen:

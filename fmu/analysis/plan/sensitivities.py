@@ -18,11 +18,11 @@ from fmu.progress.phases import phase
 from fmu.types import BoolArray, Dof, FloatArray
 
 SPARE = 2
-"""Modes above those to be measured, which the measured modes must not be taken for."""
+"""Number of modes above the measured ones with which these must not be confused."""
 SHAPE_ERROR = 1e-3
-"""Largest error of a reduced model's shapes at the candidates, relative to the largest component."""
+"""Largest error allowed in a reduced model's shapes at the candidates, relative to the largest component."""
 UNSEEN = 1e-6
-"""Share of a mode's largest displacement below which a candidate does not see the mode."""
+"""A candidate does not see a mode if it moves less than this share of the mode's largest displacement."""
 _FULL = 100  # up to this size, full solves at all draws take less time than training
 _TOLERANCES = (1e-6, 1e-8)
 _CHECKED = 3
@@ -30,7 +30,7 @@ _CHECKED = 3
 
 @dataclass(frozen=True)
 class Certificate:
-    """Errors of the reduced model at draws where the full model was solved too.
+    """Errors of the reduced model at draws where the full model was also solved.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Certificate:
 
     @property
     def ok(self) -> bool:
-        """Whether the shapes are accurate to `SHAPE_ERROR`."""
+        """Whether the error of the shapes is at most `SHAPE_ERROR`."""
         return self.shape <= SHAPE_ERROR
 
 
@@ -61,16 +61,17 @@ class Sensitivities:
     Attributes
     ----------
     seen : ModalPrediction
-        Frequencies (n, m), shapes (n, rows, m) and their derivatives by the parameters; the last modes are spare.
+        Frequencies (n, m), shapes (n, rows, m) and their derivatives with respect to the parameters; the last
+        modes are spare.
     nominal : ModalPrediction
-        The same modes at the start, n = 1, without derivatives.
+        The same modes at the reference parameters, n = 1, without derivatives.
     model : ModalModel
-        The model that gave them, reduced or not.
+        The model that computed them, reduced or not.
     n_solves : int
         Solves of the model, or calls of a user's function.
     certificate : Certificate or None
     kept : ndarray of bool, shape (n_draws,), or None
-        Draws that `seen` has; at the others a solve failed or a mode had no derivative. None if it has all.
+        Draws that `seen` has; at the others a solve failed or a mode had no derivative. None if it has all draws.
     """
 
     seen: ModalPrediction
@@ -84,9 +85,9 @@ class Sensitivities:
 def paired_with_itself(
     structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], n_modes: int
 ) -> PairedStructure:
-    """Return a structure paired by shape with its own lowest elastic modes at the start, seen by sensors.
+    """Return a structure paired by shape with its own lowest elastic modes at `start`, observed at the sensors.
 
-    Up to `SPARE` further modes follow, as many as the structure has.
+    Up to `SPARE` modes above these are added, as far as the structure has them.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def pick_modes(
     Raises
     ------
     ValueError
-        If the candidates see none of the modes given, or too few modes.
+        If the candidates do not see one of the given modes, or see too few modes.
     """
     count = modes if isinstance(modes, int) else max(modes) + 1
     while True:
@@ -156,8 +157,8 @@ def pick_modes(
 def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) -> Sensitivities:
     """Return the sensitivities of a structure given by its matrices, at theta (n, n_parameters).
 
-    A large structure is reduced in the box of the draws. The reduced basis has all degrees of freedom, so that it
-    gives shapes at all candidates. Its shapes are compared with the full model's at a few draws.
+    A large structure is reduced within the box of the draws. The reduced basis has all degrees of freedom, so that
+    it gives shapes at all candidates. Its shapes are compared with those of the full model at a few draws.
     """
     nominal = paired.observed(start[None])
     n = len(theta)
@@ -195,7 +196,7 @@ def of_model(model: ModalModel, theta: FloatArray, start: FloatArray) -> Sensiti
 
 
 def _complete(model: ModalModel, seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) -> Sensitivities:
-    """Return the sensitivities at the draws that have all derivatives; ValueError if there is none."""
+    """Return the sensitivities at the draws that have all derivatives. Raise ValueError if there are none."""
     assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
     assert seen.shape_slopes is not None
     parts = (seen.frequencies, seen.frequency_slopes, seen.shapes, seen.shape_slopes)

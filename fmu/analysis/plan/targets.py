@@ -1,12 +1,12 @@
-"""What a planned test is for: parameters, a combination of them, a prediction, or a decision about damage.
+"""The purpose of a planned test: parameters, a combination of them, a prediction, or a decision about damage.
 
-The loss d of a parameter has mean m and standard deviation s₀ before the test, s₁ after it. By the linearised
-model, the posterior mean after a test of a structure whose true loss is d* is normal, with mean m + r (d* − m),
-r = 1 − s₁²/s₀², and variance r s₁². The expected probability after the test that the loss exceeds x is
+The loss d of a parameter has the mean m and the standard deviation s₀ before the test, and s₁ after it. By the
+linearised model, the posterior mean after a test of a structure whose true loss is d* is normal, with mean m + r
+(d* − m), r = 1 − s₁²/s₀², and variance r s₁². The expected probability after the test that the loss exceeds x is
 
     E P(d > x | test) = Φ( (m + r (d* − m) − x) / (s₁ √(1 + r)) ).
 
-A plan for the least s₁ is c-optimal (Pukelsheim 2006, *Optimal Design of Experiments*, chapter 2).
+A plan that minimises s₁ is c-optimal (Pukelsheim 2006, *Optimal Design of Experiments*, chapter 2).
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 
 Target = str | Sequence[str] | Mapping[str, float] | Callable[[FloatArray], FloatArray] | DamageTarget
-"""Names of parameters, weights of a combination by name, a prediction from theta (n, ndim) to (n,) or (n, t), or a
-decision about damage."""
+"""Names of parameters; weights of a combination, by name; a prediction from theta (n, ndim) to (n,) or (n, t);
+or a decision about damage."""
 
 
 PROBABILITIES = ("before", "if_none", "if_twice")
@@ -46,7 +46,7 @@ def losses_of(target: DamageTarget, before: Before, psi: FloatArray) -> FloatArr
     Raises
     ------
     ValueError
-        If the planned test is like a test of the reference, which has no losses.
+        If the planned test resembles a test of the reference state, which has no losses.
     """
     if before.losses:
         return before.losses_at(psi)
@@ -59,14 +59,15 @@ def losses_of(target: DamageTarget, before: Before, psi: FloatArray) -> FloatArr
 
 
 def target_of(target: Target | None, before: Before) -> FloatArray | None:
-    """Return the derivatives of a target by the parameters, (n, t, P); None without a target.
+    """Return the derivatives of a target with respect to the parameters, (n, t, P); None without a target.
 
-    Losses and predictions are linearised at the draws by central differences.
+    Losses and predictions are differentiated at the draws by central differences.
 
     Raises
     ------
     ValueError
-        If a name is unknown, the weights are all zero, or a prediction does not return finite numbers.
+        If a name is unknown, the weights are all zero, a prediction does not return finite numbers, or the target
+        depends on no parameter.
     """
     names = [one.name for one in before.parameters]
     if target is None:
@@ -90,7 +91,7 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
 
 
 def without_the_unneeded(before: Before, target: Target | None) -> Before:
-    """Return the knowledge before a test without parameters on which neither the test nor the target depends."""
+    """Return the knowledge before a test without parameters that affect neither the test nor the target."""
     if before.is_prior:
         return before
     slopes = [before.slopes(before.values), target_of(target, before)]
@@ -109,7 +110,7 @@ def _predict(target: Callable[[FloatArray], FloatArray], theta: FloatArray) -> F
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """A decision about damage that a planned test is for.
+    """A decision about damage, for which a test is planned.
 
     Attributes
     ----------
@@ -127,18 +128,18 @@ class Decision:
 
     @classmethod
     def of(cls, target: Target | None, before: Before) -> Decision | None:
-        """Return the decision that a test is for; None if its target is another one."""
+        """Return the decision for which a test is planned; None for any other target."""
         if not isinstance(target, DamageTarget):
             return None
         return cls(target.names, target.beyond, losses_of(target, before, before.reference[None])[0])
 
     def expect(self, rows: FloatArray, state: State) -> pd.DataFrame:
-        """Return a table of what a test is expected to tell about each loss; see the formula of this module.
+        """Return a table of the expected results of a test for each loss; see the formula in the module docstring.
 
         Columns: ``sd_before`` and ``sd_after`` of the loss; ``before``, the probability before the test that the
-        loss exceeds x; and the expected probability after it, ``if_none`` where there is no loss (false alarm) and
-        ``if_twice`` where the loss is 2 x (power). Means over the draws. `rows` are the derivatives of the losses
-        by the scaled parameters, (n, t, P).
+        loss exceeds x; and the expected probability after it, ``if_none`` if there is no loss (false alarm) and
+        ``if_twice`` if the loss is 2 x (power). All are averages over the draws. `rows` are the derivatives of the
+        losses with respect to the scaled parameters, (n, t, P).
         """
         s0 = np.linalg.norm(rows, axis=2)
         s1 = np.sqrt(np.einsum("ntp,npq,ntq->nt", rows, state.covariance(), rows))
@@ -150,7 +151,7 @@ class Decision:
         return data_frame({key: np.mean(one, axis=0) for key, one in columns.items()}, "loss", self.names)
 
     def worst(self, rows: FloatArray, state: State) -> dict[str, float]:
-        """Return the largest ``if_none`` and the smallest ``if_twice`` of all losses; see `expect`."""
+        """Return the largest ``if_none`` and the smallest ``if_twice`` over all losses; see `expect`."""
         table = self.expect(rows, state)
         return {"if_none": float(table["if_none"].max()), "if_twice": float(table["if_twice"].min())}
 
@@ -166,5 +167,5 @@ class Decision:
 
 
 def with_probabilities_in_words(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table with its probabilities as text, such as ``"32 %"`` or ``"< 1 %"``, for people to read."""
+    """Return a table with its probabilities as text, such as ``"32 %"`` or ``"< 1 %"``."""
     return table.assign(**{key: table[key].map(probably) for key in PROBABILITIES if key in table})

@@ -113,7 +113,7 @@ class Check:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings about what to examine before sampling, one sentence each."""
+        """Warnings about points to examine before sampling, one sentence each."""
         found = [
             *self.priors,
             *self.discrepancy,
@@ -153,7 +153,7 @@ class Check:
         return modes_as_text(self.modes)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return a table of text with the CoMAC and ECoMAC of each sensor, sorted by descending ECoMAC."""
+        """Return a table of text with the CoMAC and ECoMAC of each sensor, in descending order of ECoMAC."""
         assert self.modes.correlation is not None  # there are measured shapes
         return self.modes.correlation.table().map(fixed, places=2).reset_index()
 

@@ -53,7 +53,7 @@ def unlike(
     for k, column in enumerate(paired if alike is not None else []):
         if found is not None and found.subspace.get(k, 0.0) >= ALIKE:
             continue
-        row = alike[k]  # type: ignore[index]  # there is one, or there is no column
+        row = alike[k]  # type: ignore[index]  # None only if there are no columns
         others = np.delete(np.arange(len(row)), column)
         if row[column] < ALIKE:
             doubts.append(

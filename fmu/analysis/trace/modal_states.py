@@ -69,19 +69,19 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     xarray.Dataset
         - ``theta`` (state, parameter), and ``frequency`` (state, mode), Hz, paired with the measured modes.
         - For a structure defined by its matrices also ``mac`` (state, reference_mode, mode): the MAC with the
-          measured shapes at the sensors, or without measured shapes with the shapes of the first state at all
-          translations, as ``mac.attrs["reference"]`` states.
+          measured shapes at the sensors or, without measured shapes, with the shapes of the first state at all
+          translations, as stated in ``mac.attrs["reference"]``.
         - If shapes were measured, also ``component`` (state, mode, place), the computed shapes at the sensors, and
           ``measured`` (mode, place).
         - If the geometry is known, also ``displacement`` (state, mode, node, direction), where the largest of each
-          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` draws; and
+          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads; and
           ``expanded`` (mode, node, direction), the measured shapes in their own scale, expanded by the modes at
           the posterior mean.
         - For a structure without geometry, ``component`` is at all translations if they are few, and the largest
           component of each mode is 1.
-        - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test, and
-          the shapes at the sensors, ``computed_in_test`` (state, mode, sensor) and ``measured_in_test`` (mode,
-          sensor), and their MAC, ``mac_in_test`` (state, mode).
+        - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test; the
+          shapes at the sensors, ``computed_in_test`` (state, mode, sensor) and ``measured_in_test`` (mode,
+          sensor); and their MAC, ``mac_in_test`` (state, mode).
 
     Raises
     ------

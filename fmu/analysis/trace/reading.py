@@ -180,7 +180,7 @@ def modes_are_data(trace: xr.DataTree) -> bool:
 
 
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the measured modes, with a mark on those not used in updating if others were."""
+    """Return the names of the measured modes; modes that were not used in updating are marked if others were."""
     labels, are_data = trace["observed_data"]["mode"].to_numpy(), modes_are_data(trace)
     return [
         str(label) if used or not are_data else f"{label} (not used)"

@@ -56,7 +56,7 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
 
 
 def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
-    """Return the weights of `n` modes, shape (n,), 1 by default; ValueError if a weight is not positive."""
+    """Return the weights of `n` modes, shape (n,), 1 by default. Raise ValueError unless all are positive."""
     if weights is None:
         return np.ones(n)
     given = np.asarray(weights, dtype=float)

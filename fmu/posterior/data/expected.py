@@ -1,4 +1,4 @@
-"""The modes that a model predicts, in place of measured ones while a test is planned."""
+"""The modes that a model predicts, used instead of measured ones while a test is planned."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ def expected_modes(
     ----------
     model : SeparableModel or BlackBoxModel
     parameters : sequence of Parameter
-        Parameters of the model, whose starts are used.
+        Parameters of the model, used at their starting values.
     n_modes : int
         Number of modes, from the lowest elastic one.
     frequency_sd : float
         Relative standard deviation of the errors of measured frequencies.
     sensors : sequence of (place, direction)
-        For a user's function: the sensors at which it gives shapes, in the order of their rows.
+        For a user's function: the sensors for which it returns shapes, in the order of their rows.
 
     Returns
     -------
     ModalData
-        Frequencies with their standard deviations; shapes of a user's function too.
+        Frequencies with their standard deviations and, for a user's function, shapes.
 
     Raises
     ------
     ValueError
-        If the model has too few modes, or a function gives no shapes at these sensors.
+        If the model has too few modes, or a function does not return shapes at these sensors.
     """
     start = np.array([p.start for p in parameters], dtype=float)
     if isinstance(model, SeparableModel):

@@ -46,33 +46,33 @@ class FRFData:
     frequencies_hz : ndarray, shape (n_lines,)
         Frequencies of the lines, ascending, evenly spaced or not. A line at 0 Hz is dropped.
     values : ndarray of complex, shape (n_frfs, n_lines)
-        One FRF per row. NaN and 0 are no values: such lines of an FRF are not used.
+        One FRF per row. NaN and 0 stand for missing values, which are not used.
     drives : tuple of (place, direction)
         Node, and direction x, y, z, rx, ry or rz with or without a minus, of the force of each FRF.
     responses : tuple of (place, direction)
         Node and direction of the response of each FRF.
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
         Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
-        converted at once to its reciprocal, the receptance. This is right for the quotient of one force and one
-        response, with no other force applied; it is wrong for an entry of the inverse of a matrix of receptances.
+        converted to its reciprocal, the receptance. This is correct for the quotient of one force and one
+        response, with no other force applied, but not for an entry of the inverse of a matrix of receptances.
     sd : ndarray, shape (n_frfs, n_lines), optional
-        Standard deviation of the real part and of the imaginary part, each, in the unit of `values`. A scalar
-        applies to all values, one number per FRF with shape (n_frfs, 1) to all lines of the FRF. NaN and 0 are no
+        Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar applies
+        to all values, and one number per FRF, shape (n_frfs, 1), to all its lines. NaN and 0 stand for missing
         values.
     coherence : ndarray, shape (n_frfs, n_lines), optional
-        Ordinary coherence γ², from 0 to 1. With `averages` it gives the standard deviations where `sd` is not
-        given: |H| √((1 − γ²)/(2 γ² n)) of the real and the imaginary part (Bendat & Piersol 2010, *Random Data*,
-        4th ed., section 9.2.4).
+        Ordinary coherence γ², from 0 to 1. If `sd` is not given, it gives the standard deviations with `averages`:
+        |H| √((1 − γ²)/(2 γ² n)) of the real and the imaginary part (Bendat & Piersol 2010, *Random Data*, 4th ed.,
+        section 9.2.4).
     averages : float, optional
         Number n of independent averages behind the coherence.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
-        The lines to use in updating; all lines by default. The others validate the updated model.
+        The lines to use in updating. Defaults to all lines. The others validate the updated model.
     band : (float, float), optional
         Lowest and highest frequency to use, Hz.
     hits : int, optional
         Number of repeated hits whose scatter gave `sd`, see `from_hits`.
     notes : tuple of str
-        Sentences on what was converted, dropped or not used.
+        Sentences on data that were converted, dropped or not used.
 
     Raises
     ------
@@ -131,7 +131,7 @@ class FRFData:
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
     def _check_lines(self, notes: list[str]) -> None:
-        """Append to `notes` the number of lines without values; ValueError if an FRF has none, or none is used."""
+        """Append notes on lines without values to `notes`; ValueError if an FRF has none, or no line is used."""
         missing = np.isnan(np.asarray(self.values))
         notes += check_rows(self.labels, missing)
         if self.band is not None and not 0.0 <= self.band[0] < self.band[1]:
@@ -154,8 +154,8 @@ class FRFData:
         """Return the mean of the FRFs of repeated hits, with its standard deviation from their scatter.
 
         The error of the mean divided by `sd` has Student's distribution with 2 (hits − 1) degrees of freedom
-        (`freedom`). Of 20 Gaussian errors, one exceeds 1.96 sd; of 3 hits 2.4 do, of 5 hits 1.7, of 10 hits 1.3.
-        Take ten hits or more, or errors with Student's distribution.
+        (`freedom`). One in 20 Gaussian errors exceeds 1.96 sd. For the mean of 3 hits it is 2.4 in 20, for 5 hits
+        1.7, and for 10 hits 1.3. Use ten hits or more, or errors with Student's distribution.
 
         Parameters
         ----------
@@ -195,24 +195,24 @@ class FRFData:
     ) -> Self:
         """Return FRFs estimated from time records of one force and the responses to it.
 
-        H1 = S_fx/S_ff is right where the noise is in the responses, H2 = S_xx/S_xf where it is in the force. The
-        coherence gives the standard deviations. A segment must be several times longer than the decay 1/(2π ζ f);
-        see `fmu.posterior.data.frf.estimates.estimate_frfs`.
+        H1 = S_fx/S_ff is correct if the noise is in the responses, H2 = S_xx/S_xf if it is in the force. The
+        coherence gives the standard deviations. A segment must be several times longer than the decay time
+        1/(2π ζ f); see `fmu.posterior.data.frf.estimates.estimate_frfs`.
 
         Parameters
         ----------
         force : array_like, shape (n_samples,) or (n_records, n_samples)
             One long record, N; or one record per hit, from before the hit until the response has decayed.
         response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
-            Displacements (m), velocities (m/s) or accelerations (m/s²), as `kind` says.
+            Displacements (m), velocities (m/s) or accelerations (m/s²), depending on `kind`.
         sampling_hz : float
         drives, responses, kind
-            The attributes of the class; all drives are the same.
+            The attributes of the class; all drives must be the same. A dynamic stiffness is not possible.
         estimator : {"H1", "H2"}
         window : str
             Window of each segment, a name in `scipy.signal.get_window`; "boxcar" for the records of hits.
         segment : int, optional
-            Number of samples per segment. By default an eighth of a long record, or the whole record of a hit.
+            Number of samples per segment. Defaults to an eighth of a long record, or the whole record of a hit.
         overlap : float
             Share of a segment that the next one overlaps, from 0 to less than 1.
         **options
@@ -254,14 +254,14 @@ class FRFData:
 
     @cached_property
     def used(self) -> BoolArray:
-        """Whether each value is used, shape (n_frfs, n_lines): in `use` and `band`, with a value and an sd > 0."""
+        """Whether each value is used, (n_frfs, n_lines): in `use` and `band`, not missing, and with an sd > 0."""
         there = self._chosen & np.isfinite(np.asarray(self.values))
         sd = self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
 
     @property
     def standard_deviation(self) -> FloatArray:
-        """Standard deviation of the real and the imaginary part, each, shape (n_frfs, n_lines), SI units.
+        """Standard deviation of the real part, and of the imaginary part, shape (n_frfs, n_lines), SI units.
 
         Raises
         ------
@@ -306,7 +306,7 @@ class FRFData:
 
     @check_arguments
     def with_bands(self, bands: Sequence[tuple[float, float]]) -> Self:
-        """Return the same FRFs, of whose used lines only those in one of the bands (low, high), Hz, are used.
+        """Return the same FRFs, with only those used lines that are in one of the bands (low, high), Hz.
 
         Raises
         ------
@@ -319,7 +319,7 @@ class FRFData:
 
     @check_arguments
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
-        """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is true.
+        """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
 
         ValueError is raised if `mask` has another shape, or no line is left.
         """
@@ -341,7 +341,7 @@ class FRFData:
         Parameters
         ----------
         n : int, optional
-            Largest number of resonances; those of the most prominent peaks are kept.
+            Largest number of resonances; the most prominent peaks are kept.
         """
         return pick_peaks(self._spectra, n)
 
@@ -362,24 +362,24 @@ class FRFData:
         n : int, optional
             Largest number of modes.
         reference : (place, direction), optional
-            The drive, or the response of a roving hammer, of the FRFs to take; by default that of most FRFs.
+            The drive, or the response for a roving hammer, of the FRFs to use. Defaults to the most frequent.
         least_mpc : float
             Smallest modal phase collinearity; see `fmu.formats.modes.measured_modes.real_shapes`.
 
         Raises
         ------
         ValueError
-            If the lines are not evenly spaced, there is no stable pole, or a shape is too complex to be real.
+            If the lines are not evenly spaced, there is no stable pole, or a shape is too complex.
         ImportError
             If sdypy-EMA is not installed: install fmu[ema].
         """
         return identify(self._spectra, self.power, n, reference, least_mpc)
 
     def doubts(self) -> tuple[str, ...]:
-        """Return sentences on signs of a wrong kind, polarity or place of the FRFs.
+        """Return warnings that the FRFs may have the wrong kind, polarity or position, one sentence each.
 
-        The signs are a slope or a phase that belongs to another kind of FRF, reciprocal FRFs that differ, a
-        driving point that gives energy back, and an sd from few hits; see `fmu.posterior.data.frf.doubts`.
+        The evidence is a slope or a phase of another kind of FRF, reciprocal FRFs that differ, or a force that
+        extracts power (`fmu.posterior.data.frf.doubts`). There is another warning for an sd from few hits.
         """
         return doubts(self._spectra, self.power, self.freedom)
 

@@ -1,4 +1,4 @@
-"""The measured values that are not used in updating and test the updated model."""
+"""The measured values that are not used in updating but test the updated model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def held_out(data: FRFData) -> BoolArray:
     """Return whether each value, (n_frfs, n_lines), tests the updated model.
 
     These are the values with a known error that are not used, at lines between the lowest and the highest line in
-    use. Beyond these the reduced model is not trained.
+    use. The reduced model is not trained beyond these lines.
     """
     lines = np.asarray(data.frequencies_hz)
     in_use = lines[data.used.any(axis=0)]

@@ -33,14 +33,14 @@ class ModalData:
     frequencies_hz : ndarray, shape (n_modes,)
         Natural frequencies.
     numbers : tuple of int
-        The number (from 1) of each measured mode in the sorted spectrum of the model, for pairing by number;
-        1, 2, … by default.
+        The number (from 1) of each measured mode in the sorted spectrum of the model, for pairing by number.
+        Defaults to 1, 2, …
     sensors : tuple of (node, direction)
         Node and direction of each sensor. A mode with no motion at any sensor cannot be measured.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured mode shapes at the sensors, in any scale.
     labels : tuple of str
-        Names of the modes, ``"1"``, ``"2"``, … by default.
+        Names of the modes. Defaults to ``"1"``, ``"2"``, …
     sd_hz : ndarray, shape (n_modes,), optional
         Standard deviations of independent errors of the frequencies; a scalar applies to all modes.
     covariance_hz2 : ndarray, shape (n_modes, n_modes), optional
@@ -49,14 +49,14 @@ class ModalData:
         Standard deviations of the errors of the shape components, for shapes scaled to unit length at the sensors.
         A scalar applies to all components; one number per mode applies to all sensors.
     counterparts : tuple of int, optional
-        For pairing by shape where no shapes were measured: the number of the mode of the model before updating
-        that corresponds to each measured mode, counted from 1 among the elastic modes that move a sensor. By
-        default the lowest of these modes, in ascending order.
+        For pairing by shape if no shapes were measured: the number of the mode of the model before updating
+        that corresponds to each measured mode, counted from 1 among the elastic modes that move a sensor. Defaults
+        to the lowest of these modes, in ascending order.
     tests : RepeatedTests, optional
         The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
         one more test, and to check whether the tests are independent.
     use : tuple of bool, optional
-        Whether each mode is used in updating; all modes by default. The modes that are not used are paired and
+        Whether each mode is used in updating. Defaults to all modes. The modes that are not used are paired and
         predicted too, but are not in the likelihood, so that they validate the updated model.
     mpc : ndarray, shape (n_modes,), optional
         Modal phase collinearity of measured shapes that were complex, for display.
@@ -64,7 +64,7 @@ class ModalData:
         The measurement points matched to the nodes of the model by their coordinates (`fmu.match_points`), for
         display.
     counts_rigid : bool, optional
-        Whether `numbers` count the rigid-body modes of a free structure. True by default if `numbers` are given;
+        Whether `numbers` count the rigid-body modes of a free structure. Defaults to True if `numbers` are given;
         otherwise mode 1 is the first elastic mode.
 
     Raises
@@ -240,7 +240,7 @@ class ModalData:
             The node of the model, or its name, for each node number in the file; nodes of the file that are not in
             the mapping are skipped. By default, the nodes of the model have the same numbers as those in the file.
         modes : sequence of int, optional
-            Numbers of the modes in the file; all modes if not given.
+            Numbers of the modes in the file. Defaults to all modes.
         **options
             ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; other arguments of the class, such
             as ``numbers`` or ``sd_hz``, which the file format does not contain.
@@ -275,7 +275,7 @@ class ModalData:
         sensors : sequence of (place, direction)
             The sensor of each channel, in the order of the channels.
         modes : sequence of int, optional
-            Numbers of the modes of the result, from 1; all modes if not given.
+            Numbers of the modes of the result, from 1. Defaults to all modes.
         least_mpc : float
             Smallest modal phase collinearity accepted; see `fmu.formats.modes.measured_modes.real_shapes`.
         **options
@@ -379,7 +379,7 @@ class ModalData:
 
 
 def _spread(value: ArrayLike, name: str, shape: tuple[int, ...], what: str) -> FloatArray:
-    """Return standard deviations as a read-only array of the given shape; ValueError if they are invalid."""
+    """Return standard deviations as a read-only array of the given shape. Raise ValueError if they are invalid."""
     given = np.array(value, dtype=float)
     if given.shape not in ((), shape[-1:], shape):
         raise ArgumentError(name, f"must be a number or have shape {shape}, {what}", given.shape)

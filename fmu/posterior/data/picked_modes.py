@@ -1,4 +1,4 @@
-"""Resonances of frequency response functions as modes, which a problem pairs with the modes of a model."""
+"""Resonances of frequency response functions as modes, which are paired with the modes of a model."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ def pick_modes(
 ) -> ModalData:
     """Return the resonances of frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
 
-    Beside `fmu.FRFErrors` alone, these modes are no data. They are paired with the modes of the model, and the
-    search for maxima begins with them. The FRFs already contain what they tell. Resonances are looked for at all
-    lines between the lowest and the highest one in use.
+    If `fmu.FRFErrors` is the only error model, these modes are not data, because the FRFs already contain their
+    information. They are paired with the modes of the model, and the search for maxima begins with them.
+    Resonances are sought at all lines between the lowest and the highest line in use.
 
     Parameters
     ----------
     data : FRFData
     numbers : sequence of int, optional
         For pairing by shape: the number of the mode of the model that corresponds to each resonance, counted from
-        1 among the elastic modes that move a response. For pairing by number: the number in the spectrum. By
-        default 1, 2, … in ascending order of frequency. Give the numbers if the test misses a mode.
+        1 among the elastic modes that move a response. For pairing by number: the number in the spectrum. Defaults
+        to 1, 2, … in ascending order of frequency. Give the numbers if the test misses a mode.
     n : int, optional
-        Largest number of resonances; those of the most prominent peaks are kept. As many as `numbers` by default.
+        Largest number of resonances; the most prominent peaks are kept. Defaults to the length of `numbers`.
     sd : float
-        Standard deviation of the frequencies relative to them, by which the search weighs them.
+        Standard deviation of the frequencies relative to them, by which the search weights them.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def pick_modes(
     """
     between = replace(
         data, use=data.used | held_out(data), band=None
-    )  # with resonances that are left out of updating
+    )  # also resonances at lines that are left out of updating
     found = between.pick_frequencies(n or len(numbers) or None).frequencies_hz
     if not len(found):
         rule = "must have a resonance that stands out of the noise; give the frequencies of the modes instead"

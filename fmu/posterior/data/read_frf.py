@@ -1,4 +1,4 @@
-"""Measured frequency response functions from files."""
+"""Reading of measured frequency response functions from files."""
 
 from __future__ import annotations
 
@@ -47,28 +47,28 @@ def read_frf(
     ----------
     path : path-like
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}, optional
-        Needed where the file does not say it; must not contradict a file that does.
+        Needed if the file does not state it; must not contradict a file that does.
     drives, responses : tuple of (place, direction), optional
-        Points of the FRFs, in the order of the file; needed where the file does not name them.
+        Points of the FRFs, in the order of the file; needed if the file does not name them.
     nodes : mapping of node number to place, optional
         For universal files: the node of the model, or its name, for each node number in the file; FRFs at other
-        nodes are skipped. By default, the nodes of the model have the same numbers.
+        nodes are skipped. By default, the nodes of the model have the same numbers as those in the file.
     variables : mapping of str to str, optional
         For arrays: the name in the file of ``frequencies_hz``, ``values``, ``coherence``, ``sd``, ``averages``,
-        ``kind``, ``drives`` or ``responses``, if it is another; ``"test.H"`` is the field H of a structure.
+        ``kind``, ``drives`` or ``responses``, if it differs; ``"test.H"`` is the field H of a structure.
     frfs : sequence of int, optional
-        Numbers of the FRFs to take, from 1 in the order of the file; all if not given.
+        Numbers of the FRFs to read, from 1 in the order of the file. Defaults to all FRFs.
     scale : float
-        Factor that converts the values of the file to SI units: 9.80665 for accelerations in g.
+        Factor that converts the values in the file to SI units: 9.80665 for accelerations in g.
     averages : float, optional
-        Number of independent averages behind the coherences of the file, which are not used without it.
+        Number of independent averages behind the coherences in the file, which are not used without it.
     sd, use, band : optional
-        The attributes of `fmu.FRFData` with these names; `sd` in SI units, instead of that in the file.
+        The attributes of `fmu.FRFData` with these names; `sd` is in SI units and replaces the one in the file.
 
     Returns
     -------
     FRFData
-        `notes` says what the file left open.
+        `notes` lists the properties that the file does not define.
 
     Raises
     ------

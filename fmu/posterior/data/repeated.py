@@ -38,7 +38,7 @@ class _Scatter(NamedTuple):
 
 
 def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
-    """Return frequencies as an array (n_tests, n_modes); ValueError if `frequencies` or `scatter` is invalid."""
+    """Return frequencies as an array (n_tests, n_modes). Raise ValueError if an argument is invalid."""
     values = np.array(frequencies, dtype=float)
     if values.ndim != 2 or values.size == 0:
         raise ArgumentError("frequencies", "must have shape (n_tests, n_modes)", values.shape)
@@ -56,7 +56,7 @@ def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
 
 
 def _scatter(values: FloatArray, scatter: str) -> _Scatter:
-    """Return the scatter of each mode by itself or, if `scatter` is "pooled", with one relative scatter."""
+    """Return the scatter of each mode separately or, if `scatter` is "pooled", with one relative scatter."""
     n = np.sum(~np.isnan(values), axis=0)
     mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
     nu = n - 1
@@ -83,18 +83,22 @@ class RepeatedTests:
     scatter : {"each", "pooled", "joint"}
         "each": independent modes, each with the scatter of its own n_i values and ν = n_i − 1 degrees of freedom.
         This assumes nothing about other modes, but a few tests may agree closely by chance, and such a mode
-        then gets too much weight. "pooled": independent modes with one *relative* scatter, s_i = c f_i with
-        c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: useful for two to four tests. "joint": a full covariance, for
-        modes whose frequencies vary together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the
-        mean has a multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section
-        3.6). The covariance of that distribution is used, S (n − 1)/(n (n − n_modes − 2)) with the sample
-        covariance S. It exists for n ≥ n_modes + 3 tests, none with a mode missing. With fewer tests, S is
-        singular or nearly so.
+        then gets too much weight.
+
+        "pooled": independent modes with one *relative* scatter, s_i = c f_i with c² = Σ ν_i (s_i/f_i)² / Σ ν_i and
+        ν = Σ ν_i. This is useful for two to four tests.
+
+        "joint": a full covariance, for modes whose frequencies vary together, as with temperature. With the prior
+        ∝ |Σ|^(−(n_modes + 1)/2) the mean has a multivariate Student distribution (Gelman et al. 2013, Bayesian
+        Data Analysis, 3rd ed., section 3.6). The covariance of that distribution is used, S (n − 1)/(n (n −
+        n_modes − 2)) with the sample covariance S. It exists for n ≥ n_modes + 3 tests, none with a mode missing.
+        With fewer tests, S is singular or nearly so.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive, a mode has too few values, or the values of a mode do not scatter at all.
+        If a frequency is not positive, a mode has too few values, the values of a mode do not scatter at all, or
+        there are too few tests for a joint scatter.
 
     Notes
     -----
@@ -151,7 +155,7 @@ class RepeatedTests:
 
     @property
     def freedom(self) -> FloatArray:
-        """Degrees of freedom of the error of each mean, shape (n_modes,); infinite where the scatter is joint."""
+        """Degrees of freedom of the error of each mean, shape (n_modes,); infinite if the scatter is joint."""
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
             return np.full(values.shape[1], np.inf)
@@ -163,15 +167,15 @@ class RepeatedTests:
         The standard deviation of a single test is estimated from n tests and, with the prior ∝ 1/s, integrated
         out: the deviations are s_i times Student's t with ν_i degrees of freedom. For very few tests, a predictive
         interval of a model that can fit the mean is a little too wide, because the Gaussian of `mean` is widened
-        too: a 90 % interval has a coverage of 93 % for two tests, 92 % for three and 90 % from five on. If the
-        scatter is "joint", the deviations have the multivariate t-distribution with n − n_modes degrees of freedom
-        and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
+        too: a 90 % interval has a coverage of 93 % for two tests, 92 % for three, and 90 % for five or more. If
+        the scatter is "joint", the deviations have the multivariate t-distribution with n − n_modes degrees of
+        freedom and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
         """
         values = np.asarray(self.frequencies_hz)
         z = rng.standard_normal((size, values.shape[1]))
         if self.scatter != "joint":
             found = _scatter(values, self.scatter)
-            if self.scatter == "pooled":  # one unknown scatter makes all modes wide together
+            if self.scatter == "pooled":  # the common scatter is drawn once for all modes
                 return np.asarray(found.s * z / np.sqrt(rng.chisquare(found.nu[0], (size, 1)) / found.nu[0]))
             return np.asarray(found.s * z / np.sqrt(rng.chisquare(found.nu, z.shape) / found.nu))
         n, n_modes = values.shape
@@ -269,7 +273,10 @@ def _checked_shapes(shapes: ArrayLike) -> FloatArray:
 
 
 def _align_shapes(shapes: FloatArray, mode: int, least_mac: float = LEAST_MAC) -> tuple[FloatArray, FloatArray]:
-    """Return the shapes of one mode that were measured, with unit length and one sign, and the mean shape."""
+    """Return the measured shapes of one mode with unit length and the same sign, and the mean shape.
+
+    Tests that missed the mode are left out. Raise the errors listed in `mean_shapes`.
+    """
     tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
     if not len(tests):
         raise ArgumentError("shapes", "every mode must be in a test", f"none of mode {mode}")

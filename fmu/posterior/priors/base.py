@@ -1,8 +1,8 @@
 """Priors of one parameter, truncated to its bounds: the interface, the Gaussian and the uniform prior.
 
-The truncated Gaussian agrees with `scipy.stats.truncnorm` to 4e-16 of a mass and the last bits of a draw, but does
-not need `scipy.stats`, which takes half a second or more to import. Its log-density takes 5 µs for one value
-instead of 480 µs, and a thousand draws 0.1 ms instead of 2 ms.
+The truncated Gaussian agrees with `scipy.stats.truncnorm` to 4e-16 in a probability and to the last bits in a
+draw, but does not need `scipy.stats`, which takes half a second or more to import. Its log-density takes 5 µs for
+one value instead of 480 µs, and a thousand draws take 0.1 ms instead of 2 ms.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class GaussianForm(NamedTuple):
     """A density that is Gaussian in x or in log x, before truncation: log p(x) = log_factor + log N(x; mean, sd).
 
     With `of_logarithm`, N is the density of log x, and − log x is added. The priors of all parameters that have
-    such a form are evaluated as one array (`fmu.posterior.priors.joint.JointPrior`).
+    this form are evaluated as one array (`fmu.posterior.priors.joint.JointPrior`).
     """
 
     mean: float
@@ -86,7 +86,8 @@ class Prior(ABC):
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
         """Return the offset and scale of the affine coordinate in which the parameter is of order one.
 
-        By default the median, and half the interval from the 16th to the 84th percentile, within the bounds.
+        They default to the median, and to half the interval from the 16th to the 84th percentile, within the
+        bounds.
         """
         left, median, right = self.quantile(_CENTRAL, lower, upper).tolist()
         return median, 0.5 * (right - left)
@@ -94,8 +95,8 @@ class Prior(ABC):
     def box(self, lower: float, upper: float) -> tuple[float, float]:
         """Return the finite interval in which a reduced model must be accurate.
 
-        By default the interval contains all but 6e-5 of the probability, as four standard deviations do. It
-        extends to a bound at which the density is not small, since the posterior may be large there.
+        By default the interval contains all but 6e-5 of the probability, like four standard deviations of a
+        Gaussian. It extends to a bound at which the density is not small, since the posterior may be large there.
         """
         inner, bounds = self.quantile(_ENDS, lower, upper), np.array([lower, upper])
         dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)
@@ -113,8 +114,8 @@ class Normal(Prior):
     sd : float
         Standard deviation in the parameter's unit.
     mean : float
-        Mean in the parameter's unit, 0 by default as in the paper. It must be given by keyword, so that it is not
-        confused with `sd`.
+        Mean in the parameter's unit. Defaults to 0, as in the paper. It must be given by keyword, so that it is
+        not confused with `sd`.
     """
 
     sd: Positive
@@ -175,7 +176,7 @@ class Normal(Prior):
         return self.mean, self.sd
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return four standard deviations to either side of the point of highest density, within the bounds."""
+        """Return the interval within four standard deviations of the densest point, and within the bounds."""
         densest = min(max(self.mean, lower), upper)
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
@@ -191,7 +192,7 @@ class Uniform(Prior):
     needs_bounds: ClassVar[bool] = True
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return 0; the normalisation is in `log_mass`."""
+        """Return 0; `log_mass` contains the normalisation."""
         return np.zeros_like(x)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:

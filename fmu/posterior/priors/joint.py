@@ -21,8 +21,8 @@ class JointPrior:
     ----------
     parameters : sequence of Parameter
     layout : Layout, optional
-        The layout of several tests with populations, whose scores are not independent of the other parameters
-        (`fmu.posterior.joint.layout.Layout.log_prior`).
+        The layout of several tests with populations. The scores of the tests in the populations are not
+        independent of the other parameters (`fmu.posterior.joint.layout.Layout.log_prior`).
     """
 
     def __init__(self, parameters: Sequence[Parameter], layout: Layout | None = None) -> None:
@@ -33,7 +33,7 @@ class JointPrior:
         self._gaussian = np.array([j for j, _ in forms], dtype=int)
         self._n_logs = sum(form.of_logarithm for _, form in forms)
         self._n_direct = len(forms) - self._n_logs
-        # a row, as a single theta is, so that NumPy need not broadcast
+        # one row, like a single theta, so that NumPy need not broadcast
         self._mean = np.array([form.mean for _, form in forms])[None]
         self._precision = np.array([form.sd for _, form in forms]) ** -2.0
         self._others = [(j, p.prior) for j, p in enumerate(parameters) if p.prior.gaussian_form is None]
@@ -43,7 +43,7 @@ class JointPrior:
         self._constant = 0.5 * float(np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass
 
     def log_pdf(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, shape (n,), at theta (n, ndim) where every prior has a density."""
+        """Return the log-density, shape (n,), at theta (n, ndim), where every prior must have a density."""
         # `take` gives C order, in which a row is summed in the same order whatever the batch size; einsum does not
         # warn of an overflow
         x = theta.take(self._gaussian, axis=1)
@@ -77,7 +77,7 @@ class JointPrior:
         """Return the slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
 
         The curvature for each parameter is a central difference of slopes with a step of 1e-4 of its scale, and at
-        least zero. The curvature for scores is that of the density without bounds.
+        least zero. The curvature for the scores of tests is that of their density without bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):

@@ -39,7 +39,7 @@ class HalfNormal(Prior):
 
     @property
     def gaussian_form(self) -> GaussianForm:
-        """Twice the whole Gaussian."""
+        """The whole Gaussian, with its density doubled."""
         return GaussianForm(self.at, self.sd, log_factor=float(np.log(2.0)))
 
     @property
@@ -105,7 +105,7 @@ class LogNormal(Prior):
     @classmethod
     @check_arguments
     def from_mode(cls, mode: Positive, sd: Positive) -> LogNormal:
-        """Return the prior that is densest at `mode` and has the standard deviation `sd` (Beck & Au 2002).
+        """Return the prior whose density is largest at `mode`, with the standard deviation `sd` (Beck & Au 2002).
 
         With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation has one positive root v, which is
         found in terms of log v.
@@ -113,7 +113,7 @@ class LogNormal(Prior):
         from scipy.optimize import brentq
 
         log_ratio = 2.0 * (np.log(sd) - np.log(mode))
-        highest = min(log_ratio, log_ratio / 4.0)  # as 1 + v is more than both 1 and v
+        highest = min(log_ratio, log_ratio / 4.0)  # because 1 + v exceeds both 1 and v
         log_v = brentq(
             lambda t: t + 3.0 * np.logaddexp(0.0, t) - log_ratio, highest - 3.0 * np.log(2.0), highest, xtol=1e-15
         )

@@ -1,4 +1,4 @@
-"""Priors that use the distribution functions of SciPy: the scaled beta, and any continuous ``scipy.stats`` one.
+"""Priors that use SciPy's distribution functions: the scaled beta, and any continuous one of ``scipy.stats``.
 
 Probabilities are counted from the nearer tail, so that no digits are lost for bounds far out in a tail. The
 probability between the bounds must exceed the smallest double, about 1e-308.
@@ -43,7 +43,7 @@ class InvertedPrior(Prior):
         """Return the upper quantiles, at which 1 − F equals p."""
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the probability between two bounds, ``-inf`` where that underflows."""
+        """Return the logarithm of the probability between two bounds; ``-inf`` if the probability underflows."""
         with np.errstate(all="ignore"):
             return float(np.log(self._mass(lower, upper)))
 
@@ -66,7 +66,8 @@ class InvertedPrior(Prior):
 class ScaledBeta(InvertedPrior):
     """The beta distribution on an interval: density ∝ t^(a−1) (1 − t)^(b−1) with t = (x − low)/(high − low).
 
-    If a or b is below 1, the density is infinite at that end: it can be sampled, but has no maximum.
+    If a or b is below 1, the density is infinite at the corresponding end. It can then be sampled, but has no
+    maximum.
 
     Attributes
     ----------
@@ -165,7 +166,7 @@ class ScaledBeta(InvertedPrior):
 @check_arguments
 @dataclass(frozen=True, repr=False)
 class ScipyPrior(InvertedPrior):
-    """A prior from any continuous distribution of ``scipy.stats``, as in ``ScipyPrior(gumbel_r(loc=2.0))``.
+    """A prior from any continuous distribution of ``scipy.stats``, such as ``ScipyPrior(gumbel_r(loc=2.0))``.
 
     Attributes
     ----------
@@ -243,7 +244,10 @@ class ScipyPrior(InvertedPrior):
         return np.asarray(self.distribution.isf(p))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name, arguments and quantiles, which distinguish distributions of the same name."""
+        """Return the name, arguments and quantiles of the distribution as a dict.
+
+        The quantiles distinguish distributions that share a name.
+        """
         arguments = {f"argument {i + 1}": _plain(value) for i, value in enumerate(self.distribution.args)}
         arguments |= {key: _plain(value) for key, value in sorted(self.distribution.kwds.items())}
         return {"distribution": f"scipy.stats.{self._name}", **arguments, "quantiles": _plain(self._central)}

@@ -1,4 +1,4 @@
-"""A prior for a quantity that is either nearly zero or not: a mixture of two normal distributions."""
+"""A prior for a quantity that may be nearly zero: a mixture of two normal distributions."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _HALVINGS = 60
 class SpikeAndSlab(InvertedPrior):
     """A mixture of a wide normal distribution (the slab), of probability `share`, and a narrow one (the spike).
 
-    The prior is that of George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889, with the indicator of the slab
-    integrated out: the density is smooth, and only the quantity itself is inferred.
+    The prior follows George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889. The indicator of the slab is
+    integrated out, so that the density is smooth and only the quantity itself is inferred.
 
     Attributes
     ----------

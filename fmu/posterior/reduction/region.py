@@ -1,4 +1,4 @@
-"""The region in which a reduced model must be accurate, which holds most of the prior and the posterior."""
+"""The region in which a reduced model must be accurate, which contains most of the prior and the posterior."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _NEAR, _NOT_RARE = 0.5, 10.0
 
 
 def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and upper limits of the box in which a reduced model is trained first, shape (n,) each.
+    """Return the lower and upper limits of the box in which a reduced model is first trained, shape (n,) each.
 
-    The box of the priors (`fmu.posterior.parameters.box`) is extended to bounds that are near, since a few draws
-    in ten thousand lie outside four standard deviations of a prior, and none outside the bounds.
+    The box of the priors (`fmu.posterior.parameters.box`) is extended to bounds that are near. It then also covers
+    the few draws in ten thousand that are beyond four standard deviations of a prior.
     """
     ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
     is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
@@ -47,8 +47,12 @@ def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth
 
     Parameters
     ----------
+    problem : Posterior
     n : int
         Number of points per maximum.
+    rng : Generator
+    depth : float
+        Largest decrease of the log-probability from its highest maximum.
 
     Returns
     -------
@@ -78,7 +82,7 @@ def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth
 
 
 def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
-    """Return True if the box `trained` (2, n) differs from the bounds of its parameters, and is thus narrower."""
+    """Return True if the box `trained` (2, n) is narrower than the bounds of its parameters."""
     n = trained.shape[1]
     return not (np.array_equal(trained[0], problem.lower[:n]) and np.array_equal(trained[1], problem.upper[:n]))
 
@@ -86,7 +90,7 @@ def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
 def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return the limits of a box that contains all plausible points; None if the box `trained` is large enough.
 
-    The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the posterior lies outside, as
+    The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the posterior is outside it, as
     estimated by draws from the Laplace approximations at the maxima.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)

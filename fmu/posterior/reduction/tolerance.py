@@ -1,4 +1,4 @@
-"""The tolerance of a reduced model: the errors that its frequencies and log-probability may have."""
+"""The tolerance of a reduced model: the errors allowed in its frequencies and log-probability."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
 LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
 PLAUSIBLE = 50.0
-"""Points whose log-probability is lower than the maximum by more than this are neglected."""
+"""Points whose log-probability is below the maximum by more than this are neglected."""
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The errors that a reduced model may have.
+    """The errors allowed in a reduced model.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Tolerance:
 
     @classmethod
     def of(cls, reduction: bool | float, n_dof: int = 0) -> Tolerance | None:
-        """Return the tolerance for the argument `reduction` of a problem, None for no reduced model.
+        """Return the tolerance for the argument `reduction` of a problem; None if no reduced model is wanted.
 
         `n_dof` is the number of degrees of freedom of the largest block.
 
@@ -51,9 +51,10 @@ class Tolerance:
         posterior mean of a quantity g by Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard
         deviations. For this reason t is at most 0.1, which is the Monte Carlo error of 100 effective draws.
 
-        For a block of `LARGE` degrees of freedom or more, true stands for an error of the log-probability of 0.01
-        wherever it is within 10 of its maximum, which a posterior of some ten parameters hardly leaves; the
-        frequencies follow the errors of the measurement there, and have 1e-3 in the rest of the box.
+        For a block of `LARGE` degrees of freedom or more, True allows an error of 0.01 in the log-probability
+        wherever it is within 10 of its maximum, a region that a posterior of some ten parameters hardly leaves.
+        The frequencies may have errors of 1e-3 in the box, and are more accurate where the log-probability
+        requires it.
         """
         if isinstance(reduction, bool | np.bool_):
             return None if not reduction else MEASURED if n_dof >= LARGE else cls()
@@ -67,4 +68,4 @@ class Tolerance:
 
 
 MEASURED = Tolerance(1e-3, 1e-2, 10.0)
-"""The tolerance of a large structure, which the errors of its measurement set."""
+"""The tolerance of a large structure, which is determined by the errors of the measurement."""

@@ -47,7 +47,7 @@ _SNAPSHOTS, _BEYOND = 60, 1e-3
 
 
 class ReductionWarning(UserWarning):
-    """A warning that the reduced model does not meet its tolerance, or meets it in a part of the box only."""
+    """A warning that the reduced model does not meet its tolerance, or meets it only in part of the box."""
 
 
 def reduced_model(
@@ -57,7 +57,7 @@ def reduced_model(
 
     At every point tested in the box, the frequencies meet their tolerance. The log-probability meets its tolerance
     wherever it is within the tolerance's `depth` of its maximum. Points at a jump, where modes swap and the two
-    models may pair different modes, are not counted. Training ends early if more points do not help, because only
+    models may pair different modes, are ignored. Training ends early if more points do not help, because only
     rounding of the full model remains, or if a larger basis would not save time
     (`fmu.fem.reduced.points.affordable`). After a run, the certificate states whether the tolerances were met
     (`fmu.analysis.certificate`).
@@ -176,7 +176,7 @@ def _reduce(
 def _find_tolerance(
     problem: Posterior, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
-    """Return the tolerance that a reduced model meets, None for a full model; warn if the request is missed."""
+    """Return the tolerance that a reduced model meets, None for a full model; warn if it misses the request."""
     if model is model.truth:
         return None
     _warn_if_missed(problem, model, tolerance, state)
@@ -190,7 +190,7 @@ def _trained_at_draws(
 
     Return None if the errors of the log-probability or the frequencies at fresh points of the posterior are too
     large (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. `trained` (2, n_parameters) is
-    the box, `frequency` the relative error requested.
+    the box, and `frequency` is the relative error requested.
     """
     n, rng = structure.n_parameters, np.random.default_rng(0)
     depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # contains all but this share of a Gaussian posterior
@@ -229,8 +229,8 @@ def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatA
 def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
     """Return bounds of the error of the log-probability at points (n, ndim), shape (n,), from frequency bounds.
 
-    The bound is the sum of the changes due to the largest error of each frequency by itself. To first order, joint
-    errors of all frequencies cannot change the log-probability by more.
+    The bound is the sum of the changes due to the largest error of each frequency separately. To first order,
+    simultaneous errors of all frequencies cannot change the log-probability by more.
     """
     theta = points[:, : model.n_parameters]
     bound = np.concatenate(by_parts("training", model.frequency_bound, theta, _AT_ONCE, _AT_ONCE))
@@ -261,7 +261,10 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
 
 
 def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
-    """Return the largest relative error of the measured modes' frequencies at theta (n, p), without jumps."""
+    """Return the largest relative error of the measured modes' frequencies at theta (n, p), jumps excluded.
+
+    The result is 0 if no error exceeds the tolerance.
+    """
     full = model.truth.modes(theta)
     exact, reduced = full.eigenvalues, model.modes(theta).eigenvalues
     elastic = ~is_rigid(exact)

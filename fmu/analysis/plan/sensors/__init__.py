@@ -1,1 +1,1 @@
-"""Choices of sensors by their expected information, the bound of it, and choices by the customary rules."""
+"""Choices of sensors by their expected information, an upper bound of it, and choices by the customary rules."""

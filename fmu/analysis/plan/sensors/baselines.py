@@ -15,13 +15,13 @@ from fmu.types import FloatArray, IntArray
 def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
     """Return a choice by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
 
-    The candidate that contributes least to the independence of the shapes, E = diag Φ(ΦᵀΦ)⁻¹Φᵀ summed over the
-    directions of a sensor, is removed again and again.
+    The candidate that contributes least to the independence of the shapes is removed repeatedly. Its contribution
+    is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor.
 
     Parameters
     ----------
     shapes : ndarray, shape (rows, m)
-        Shapes at the start.
+        Shapes at the reference parameters.
     groups : ndarray of int, shape (n_candidates, d)
     limits : Limits
     """
@@ -37,7 +37,7 @@ def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits)
 
 
 def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Return the candidates with the largest share of the modes' kinetic energy.
+    """Return the candidates with the largest shares of the modes' kinetic energy.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tupl
 
 
 def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Return a choice with small AutoMAC off the diagonal (Carne & Dohrmann 1995).
+    """Return a choice with a small AutoMAC off the diagonal (Carne & Dohrmann 1995).
 
-    From as many candidates by effective independence as there are modes, the candidate that makes the largest
-    off-diagonal entry smallest is added again and again.
+    As many candidates as there are modes are chosen by effective independence. Then the candidate that minimises
+    the largest off-diagonal entry is added repeatedly.
     """
     few = Limits(min(limits.count, shapes.shape[1]), limits.mounted, limits.cost)
     found = list(effective_independence(shapes, groups, few))

@@ -1,15 +1,17 @@
 """Upper bound of the information of any choice of sensors, by convex relaxation (Joshi & Boyd 2009).
 
-A weight between 0 and 1 of each candidate replaces the choice. The information of shapes with unknown scales is a
-Schur complement of a matrix that is linear in the weights, so that the expected information is concave in them.
-For any vectors b, the Schur complement at weights v is at most Σ_q v_q (j_q − φ_q b)(j_q − φ_q b)ᵀ, with equality
-for the b of v. At any weights w, the best choice v therefore has at most
+A weight between 0 and 1 for each candidate replaces the choice. The information of shapes with unknown scales is a
+Schur complement of a matrix that is linear in the weights, so that the expected information is concave in them. In
+the notation of `fmu.analysis.plan.sensors.information`, the Schur complement at weights v is at most
+Σ_q v_q (j_q − φ_q b)(j_q − φ_q b)ᵀ for any vectors b, with equality for the b that belong to v. At any weights w,
+the best choice v therefore has at most
 
     value(w) + g·v − ½ E tr V (A(w) − A₀), g_q = ½ E Σ_i ‖Fᵀ(j_q − φ_q b)‖², V = FFᵀ,
 
-where V is the derivative of 2 value by A at w. This is largest for the candidates with the largest g (per cost).
-With the b of w, g is the gradient. The b of weights that are mixed with uniform ones bound better where w hardly
-sees a mode, whose b it then does not determine. Each step of the ascent gives a bound; the smallest counts.
+where V is the derivative of 2 value with respect to A at w. This is largest for the candidates with the largest g
+(per cost). With the b of w, g is the gradient. If some mode hardly moves the sensors with weight, w does not
+determine its b. The b of a mixture of w with uniform weights then gives a tighter bound. Each step of the ascent
+gives a bound; the smallest is used.
 
 References
 ----------
@@ -52,8 +54,9 @@ class Relaxed(NamedTuple):
 def relax(readings: Readings, limits: Limits, steps: int = _STEPS) -> Relaxed:
     """Return an upper bound of the information of all choices within the limits of number and cost.
 
-    The smallest distance is ignored, which leaves the bound valid. The ascent is a projected gradient with steps
-    of Barzilai and Borwein; it ends when the bound exceeds the value by 0.1 %.
+    The smallest distance between sensors is ignored, which leaves the bound valid. The ascent is a projected
+    gradient method with Barzilai–Borwein steps. It ends when the bound exceeds the value by at most 0.1 % or the
+    value hardly increases.
     """
     by_cost = np.isfinite(limits.budget)
     price = limits.cost if by_cost else np.ones(len(limits.cost))
@@ -91,7 +94,7 @@ def relax(readings: Readings, limits: Limits, steps: int = _STEPS) -> Relaxed:
 
 
 class _Point(NamedTuple):
-    """Value and gradient at some weights; `used` is ½ E tr V (A − A₀), and `F` has FFᵀ = V."""
+    """Value and gradient at certain weights; `used` is ½ E tr V (A − A₀), and F satisfies FFᵀ = V."""
 
     value: float
     slope: FloatArray
@@ -123,7 +126,7 @@ def _at(readings: Readings, w: FloatArray) -> _Point:
 
 
 def _majorant(readings: Readings, here: _Point, mixed: FloatArray) -> FloatArray:
-    """Return g of the module's docstring with the b of other weights, (n_candidates,)."""
+    """Return g as in the module's docstring, with the b of the weights `mixed`, shape (n_candidates,)."""
     return _by_candidate(readings, here.F, _state(readings, mixed).lost)
 
 
@@ -136,7 +139,7 @@ def _by_candidate(readings: Readings, F: FloatArray, b: FloatArray) -> FloatArra
 
 
 def _best(slope: FloatArray, price: FloatArray, amount: float, free: BoolArray) -> FloatArray:
-    """Return the weights of the largest slope·v, with 0 ≤ v ≤ 1 and price·v ≤ amount; 1 where they are fixed."""
+    """Return weights v that maximise slope·v, with 0 ≤ v ≤ 1 and price·v ≤ amount; 1 where they are fixed."""
     v = np.where(free, 0.0, 1.0)
     per_price = slope / np.where(free, price, 1.0)
     left = amount

@@ -1,8 +1,8 @@
 """Choice of sensors: greedy by expected information, then exchanges of one sensor at a time.
 
 For independent errors the greedy choice reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher
-1978, *Math. Program.* 14, 265–294); shapes of unknown scale have no such guarantee, so that `bound` says how far
-from the best a choice can be.
+1978, *Math. Program.* 14, 265–294). There is no such guarantee for shapes of unknown scale; `bound` then shows how
+far from the best a choice can be.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from fmu.analysis.plan.sensors.information import Readings
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _MOST_SWEEPS = 10
-_IMPROVED = 2  # starts that are improved by exchanges, the best ones
-_TRIED = 8  # candidates that take the place of a sensor, the best first, until one is accepted
+_IMPROVED = 2  # number of the best initial choices that are improved by exchanges
+_TRIED = 8  # largest number of candidates tried in place of a sensor, the best first
 # A gain below this is rounding, in nats.
 _LEAST_GAIN = 1e-9
 _ROUNDING = 1e-12
 
 Accept = Callable[[Sequence[int]], bool]
-"""Whether a choice of candidates, without mounted ones, may be taken."""
+"""Function that decides whether a choice of candidates, without the mounted ones, is acceptable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What restricts a choice of candidates.
+    """The limits of a choice of candidates.
 
     Attributes
     ----------
     count : int
-        Number of sensors to choose, besides those that are mounted.
+        Number of sensors to choose, in addition to the mounted ones.
     mounted : tuple of int
         Candidates that are part of every choice.
     cost : ndarray, shape (n_candidates,)
@@ -50,7 +50,7 @@ class Limits:
     near: BoolArray | None = None
 
     def find_allowed(self, chosen: Sequence[int]) -> BoolArray:
-        """Return a mask (n_candidates,) of the candidates that may be added to those chosen."""
+        """Return a mask (n_candidates,) of the candidates that may be added to the chosen ones."""
         every = [*self.mounted, *chosen]
         found = np.ones(len(self.cost), dtype=bool)
         found[every] = False
@@ -67,10 +67,10 @@ class Limits:
 def choose(
     readings: Readings, limits: Limits, starts: Sequence[Sequence[int]] = (), accept: Accept | None = None
 ) -> tuple[int, ...] | None:
-    """Return the candidates chosen, the most needed first, without those that are mounted.
+    """Return the chosen candidates, the most important first, without the mounted ones.
 
-    Greedy choices and `starts`, which may break limits, are improved by exchanges; the best is returned. With
-    `accept`, only choices that it accepts count, from their start on; None if it accepts no start.
+    Greedy choices and `starts`, which may violate limits, are improved by exchanges, and the best is returned.
+    With `accept`, only choices that it accepts are considered; the result is None if it accepts no initial choice.
     """
     found = [greedy(readings, limits)]
     if np.isfinite(limits.budget):
@@ -91,7 +91,8 @@ def greedy(
 ) -> tuple[int, ...]:
     """Return candidates chosen one after another, each with the largest gain, or the largest gain per cost.
 
-    One sensor alone tells nothing of a shape whose scale is unknown. The first one is where the modes move most.
+    A single sensor gives no information on a shape whose scale is unknown. If no candidate has a gain, the first
+    sensor is placed where the modes move most.
     """
     found = list(chosen)
     state = readings.with_sensors([*limits.mounted, *found])
@@ -109,7 +110,7 @@ def greedy(
 
 
 def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[int, ...]:
-    """Return a choice that keeps the limits: the candidates of `start` that fit, and further ones by gain."""
+    """Return a choice within the limits: the candidates of `start` that fit, and others in order of gain."""
     found: list[int] = []
     for k in start:
         if len(found) < limits.count and limits.find_allowed(found)[k]:
@@ -120,7 +121,7 @@ def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[in
 def exchange(
     readings: Readings, limits: Limits, chosen: Sequence[int], accept: Accept | None = None
 ) -> tuple[int, ...]:
-    """Return a choice that no exchange of one of its sensors improves, of those that `accept` accepts."""
+    """Return a choice that no exchange of a single sensor improves, among the choices that `accept` accepts."""
     found = list(chosen)
     value = readings.value_of([*limits.mounted, *found])
     for _ in range(_MOST_SWEEPS):
@@ -142,7 +143,7 @@ def exchange(
 
 
 def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Return the chosen sensors in the order in which they should be given up last: the most needed first."""
+    """Return the chosen sensors in order of importance: each was the least important until it was given up."""
     left, order = list(chosen), []
     while left:
         values = [readings.value_of([*limits.mounted, *left[:i], *left[i + 1 :]]) for i in range(len(left))]
@@ -151,7 +152,10 @@ def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple
 
 
 def visibility(readings: Readings) -> FloatArray:
-    """Return how much the modes move each candidate: φ² relative to its largest, summed over modes, the mean."""
+    """Return how much the modes move each candidate, shape (n_candidates,).
+
+    This is φ² relative to its largest value, summed over the modes and averaged over the draws.
+    """
     square = readings.shapes**2
     largest = np.max(square, axis=1, keepdims=True)
     share = np.mean(np.sum(square / np.where(largest > 0.0, largest, 1.0), axis=2), axis=0)
@@ -159,7 +163,7 @@ def visibility(readings: Readings) -> FloatArray:
 
 
 def near_pairs(places: FloatArray, distance: float) -> BoolArray:
-    """Return a mask (n, n) of the pairs of places (n, 3) that are closer to each other than a distance, in m."""
+    """Return a mask (n, n) of the pairs of places (n, 3) that are closer to each other than `distance`, in m."""
     square = np.sum((places[:, None] - places[None]) ** 2, axis=2)
     near: IntArray | BoolArray = square < (distance * (1.0 - 1e-9)) ** 2
     np.fill_diagonal(near, False)

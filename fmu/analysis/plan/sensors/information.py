@@ -1,17 +1,17 @@
-"""Expected information of a modal test about the parameters, by the model linearised at draws.
+"""Expected information on the parameters from a modal test, by the model linearised at draws.
 
-At each draw, the parameters are scaled so that their covariance before the test is the identity matrix. Mode i at
-sensor q reads y = a_i φ_i(θ)_q + e with an unknown scale a_i. With rows divided by the standard deviation of e,
-the shapes add to the information matrix
+At each draw, the parameters are scaled so that their covariance before the test is the identity matrix. Sensor q
+reads y = a_i φ_i(θ)_q + e in mode i, with an unknown scale a_i. Let φ_i and its derivatives J_i be divided, row by
+row, by the standard deviation of e. The shapes then add to the information matrix
 
     Σ_i [ J_iᵀJ_i − (J_iᵀφ_i)(φ_iᵀJ_i) / (φ_iᵀφ_i) ],
 
-where the second part is lost to the scales. One more sensor, with row (φ, j) of a mode, adds
+where the second term is lost because the scales are unknown. One more sensor, with row (φ, j) in a mode, adds
 
     r rᵀ with r = (j − φ b) / √(1 + φ²/N), N = φ_iᵀφ_i and b = J_iᵀφ_i / N
 
 over the sensors before it, which is the recursion of least squares. The expected information gain is
-½ E log det A, the mean over the draws, with the information matrix A (identity matrix included).
+½ E log det A, averaged over the draws, where A is the information matrix including the identity matrix.
 
 References
 ----------
@@ -30,7 +30,7 @@ from fmu.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What the candidate sensors read of the modes, linearised at n draws of p parameters.
+    """The readings of the modes at the candidate sensors, linearised at n draws of p parameters.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Readings:
     shapes : ndarray, shape (n, rows, modes)
         Shapes in standard deviations of their errors; the last row is zero.
     slopes : ndarray, shape (n, rows, modes, p)
-        Their derivatives by the scaled parameters.
+        Derivatives of these shapes with respect to the scaled parameters.
     groups : ndarray of int, shape (n_candidates, d)
-        Rows of each candidate: one of a uniaxial sensor, three of a triaxial one. −1 stands for no row.
+        Rows of each candidate: one for a uniaxial sensor, three for a triaxial one. −1 stands for no row.
     target : ndarray, shape (n, t, p), or None
-        Combinations of the scaled parameters that matter; None if all parameters matter alike.
+        Combinations of the scaled parameters that matter; None if all parameters matter equally.
     """
 
     prior: FloatArray
@@ -58,7 +58,7 @@ class Readings:
         return State(self.prior, np.zeros((n, m, p)), np.zeros((n, m)))
 
     def with_sensors(self, chosen: Sequence[int], state: State | None = None) -> State:
-        """Return the information with further candidates, by their numbers from 0."""
+        """Return the information with additional candidates, given by their indices."""
         found = self.start() if state is None else state
         for k in chosen:
             for row in self.groups[k][self.groups[k] >= 0]:
@@ -66,7 +66,7 @@ class Readings:
         return found
 
     def value(self, state: State) -> float:
-        """Return the expected information gain about the target in nats."""
+        """Return the expected information gain in nats, on the target or on all parameters."""
         if self.target is None:
             return 0.5 * float(np.mean(np.linalg.slogdet(state.matrix)[1]))
         left = self.target @ np.linalg.solve(state.matrix, np.swapaxes(self.target, 1, 2))
@@ -78,14 +78,14 @@ class Readings:
         return self.value(self.with_sensors(chosen))
 
     def gains(self, state: State) -> FloatArray:
-        """Return the increase of `value` by each candidate, (n_candidates,).
+        """Return the increase of `value` due to each candidate, (n_candidates,).
 
-        With the new rows R of a candidate and P = A⁻¹, log det A grows by log det(I + R P Rᵀ). Where a target T
-        matters, V = P Tᵀ (T P Tᵀ)⁻¹ T P takes the place of P: log det(I + R P Rᵀ) − log det(I + R (P − V) Rᵀ).
+        With the new rows R of a candidate and P = A⁻¹, log det A grows by log det(I + R P Rᵀ). If a target T
+        matters, the growth is log det(I + R P Rᵀ) − log det(I + R (P − V) Rᵀ) with V = P Tᵀ (T P Tᵀ)⁻¹ T P.
         """
         whole, rest = self._factors(state)
         found = np.zeros(len(self.groups))
-        for i in range(len(whole)):  # one draw at a time, whose arrays stay in the processor's cache
+        for i in range(len(whole)):  # one draw at a time, so that its arrays stay in the processor's cache
             rows = self._new_rows(i, state)
             found += _log_det_of_one_plus(rows @ whole[i])
             if rest is not None and rest.shape[2]:
@@ -93,7 +93,7 @@ class Readings:
         return 0.5 * found / len(whole)
 
     def weights_of_directions(self, state: State) -> FloatArray:
-        """Return F (n, p, t) with F Fᵀ = V: the derivative of 2 `value` by A, at each draw."""
+        """Return F (n, p, t) with F Fᵀ = V, the derivative of 2 `value` with respect to A, at each draw."""
         whole, rest = self._factors(state)
         if rest is None:
             return whole
@@ -129,12 +129,12 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The information of the sensors placed so far, at each draw.
+    """The information from the sensors placed so far, at each draw; for the symbols see the module.
 
     Attributes
     ----------
     matrix : ndarray, shape (n, p, p)
-        A.
+        The information matrix A.
     lost : ndarray, shape (n, modes, p)
         b of each mode.
     size : ndarray, shape (n, modes)
@@ -146,7 +146,7 @@ class State:
     size: FloatArray
 
     def with_row(self, phi: FloatArray, j: FloatArray) -> State:
-        """Return the information with one more row: shapes (n, modes) and slopes (n, modes, p)."""
+        """Return the information with one more row of shapes (n, modes) and slopes (n, modes, p)."""
         total = self.size + phi**2
         share = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
         off = j - phi[..., None] * self.lost
@@ -159,7 +159,7 @@ class State:
 
 
 def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> Readings:
-    """Return the readings of some modes only, by index, with the information `prior` of their frequencies."""
+    """Return the readings of the `modes` only, by index, with the information `prior` of their frequencies."""
     picked = list(modes)
     return replace(
         readings, prior=prior, shapes=readings.shapes[:, :, picked], slopes=readings.slopes[:, :, picked]
@@ -167,7 +167,7 @@ def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> R
 
 
 def _log_det_of_one_plus(rows: FloatArray) -> FloatArray:
-    """Return log det(I + R Rᵀ) of each matrix R (n, k, p), by the smaller of R Rᵀ and RᵀR."""
+    """Return log det(I + R Rᵀ) for each matrix R (n, k, p), from the smaller of R Rᵀ and RᵀR."""
     n, k, p = rows.shape
     size = min(k, p)
     first = rows if k <= p else np.swapaxes(rows, 1, 2)

@@ -1,4 +1,4 @@
-"""What is computed of measured frequency response functions: estimates, resonances, modes and doubts.
+"""Processing of measured frequency response functions: estimates, resonances, modes and warnings.
 
 Reading order: checks, estimates, peaks, doubts, identification.
 """

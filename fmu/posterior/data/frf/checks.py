@@ -15,11 +15,14 @@ from fmu.types import BoolArray, ComplexArray, Dof, FloatArray
 
 _DIRECTION = re.compile(r"-?r?[xyz]")
 _ROUNDING = 1e-5
-"""A coherence that a file rounded to six digits may exceed 1 by this."""
+"""Amount by which a coherence rounded to six digits in a file may exceed 1."""
 
 
 def checked_frequencies(frequencies_hz: Any) -> FloatArray:
-    """Return the frequencies of lines as an array (n_lines,), which may begin at 0 Hz; ValueError if invalid."""
+    """Return the frequencies of the lines as an array (n_lines,), which may begin at 0 Hz.
+
+    Raise ValueError if they are invalid.
+    """
     f = np.array(frequencies_hz, dtype=float)
     if f.ndim != 1 or len(f) == 0:
         raise ArgumentError("frequencies_hz", "must be a list of numbers, one per line", f"shape {f.shape}")
@@ -38,7 +41,7 @@ def checked_frequencies(frequencies_hz: Any) -> FloatArray:
 
 
 def complex_array(name: str, values: Any) -> ComplexArray:
-    """Return values as a complex array; ValueError if they are not numbers."""
+    """Return values as a complex array. Raise ValueError if they are not numbers."""
     try:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError):
@@ -49,7 +52,7 @@ def complex_array(name: str, values: Any) -> ComplexArray:
 
 
 def checked_values(values: Any, n_lines: int) -> ComplexArray:
-    """Return the values of FRFs as an array (n_frfs, n_lines); ValueError if they have another shape."""
+    """Return the values of FRFs as an array (n_frfs, n_lines). Raise ValueError if they have another shape."""
     array = complex_array("values", values)
     if array.ndim == 1 and len(array) == n_lines:
         rule = f"must have shape (n_frfs, {n_lines}); put the values of one FRF in a list"
@@ -61,7 +64,7 @@ def checked_values(values: Any, n_lines: int) -> ComplexArray:
 
 
 def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -> tuple[Dof, ...]:
-    """Return the (place, direction) of each FRF; ValueError if their number or a direction is wrong."""
+    """Return the (place, direction) of each FRF. Raise ValueError for a wrong number, place or direction."""
     if len(dofs) != n_frfs:
         advice = "; repeat the point that stays where it is" if len(dofs) == 1 else ""
         raise ArgumentError(name, f"must be {n_frfs}, one per FRF", len(dofs), advice)
@@ -75,7 +78,10 @@ def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -
 
 
 def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return standard deviations as an array (n_frfs, n_lines); ValueError if one is negative or infinite."""
+    """Return standard deviations as an array (n_frfs, n_lines), NaN where unknown.
+
+    Raise ValueError if one is negative or infinite, or none is positive.
+    """
     array = np.array(sd, dtype=float)
     if array.shape not in ((), (shape[0], 1), shape):
         rule = f"must be a number or have shape {shape}, FRFs x lines, or {(shape[0], 1)}"
@@ -89,7 +95,7 @@ def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
 
 
 def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return the coherence γ² as an array (n_frfs, n_lines); ValueError if a value is not from 0 to 1."""
+    """Return the coherence γ² as an array (n_frfs, n_lines). Raise ValueError for a value outside 0 to 1."""
     array = np.array(coherence, dtype=float)
     if array.shape != shape:
         raise ArgumentError("coherence", f"must have shape {shape}, FRFs x lines", array.shape)
@@ -102,7 +108,10 @@ def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
 
 
 def checked_bools(name: str, values: Any, shape: tuple[int, int]) -> BoolArray:
-    """Return booleans as an array (n_frfs, n_lines) from shape (n_lines,) or (n_frfs, n_lines)."""
+    """Return booleans of shape (n_lines,) or (n_frfs, n_lines) as an array (n_frfs, n_lines).
+
+    Raise ValueError if they are not booleans or have another shape.
+    """
     try:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError):
@@ -115,12 +124,17 @@ def checked_bools(name: str, values: Any, shape: tuple[int, int]) -> BoolArray:
 
 
 def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
-    """Return a sentence for each FRF that lacks values; ValueError if one has none, or a label is there twice.
+    """Return a sentence for each FRF that lacks values.
 
     Parameters
     ----------
     labels : sequence of str
     missing : ndarray of bool, shape (n_frfs, n_lines)
+
+    Raises
+    ------
+    ValueError
+        If an FRF has no values at all, or a label occurs twice.
     """
     twice = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
     if twice is not None:
@@ -137,15 +151,20 @@ def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
 
 
 def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_sd: str) -> list[str]:
-    """Return a sentence if some chosen values have no standard deviation; ValueError if no value is left.
+    """Return a sentence, in a list, if some chosen values have no standard deviation.
 
     Parameters
     ----------
     f : ndarray, shape (n_lines,), Hz
     chosen, used : ndarray of bool, shape (n_frfs, n_lines)
-        Values that the user chose; those of them with a standard deviation.
+        Values that the user chose, and the chosen values that have a standard deviation.
     name, of_sd : str
-        The attributes that chose the lines, and that give the standard deviation.
+        Names of the attributes that chose the lines, and that give the standard deviation.
+
+    Raises
+    ------
+    ValueError
+        If no value is left.
     """
     n, without = int(chosen.sum()), int(np.sum(chosen & ~used))
     if n == 0:

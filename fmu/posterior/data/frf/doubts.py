@@ -1,12 +1,13 @@
-"""Doubts about measured frequency response functions: signs of a wrong kind, polarity or place.
+"""Warnings of measured frequency response functions that may have the wrong kind, polarity or position.
 
-With H = (iω)^k × receptance, k = 0 for a receptance, 1 for a mobility and 2 for an accelerance, a structure with
-little damping has these signs (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
+With H = (iω)^k × receptance, k = 0 for a receptance, 1 for a mobility and 2 for an accelerance, a lightly damped
+structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
 
-- below the first resonance |H| rises with the power k of the frequency if the structure is supported, and with
-  k − 2 if it is free; at a driving point the phase is then 90° ahead of the phase at a resonance, or behind it;
-- at a resonance a receptance and an accelerance are imaginary, a mobility is real;
-- the real part of the mobility of a driving point is nowhere negative, since the force puts power in;
+- below the first resonance |H| rises with the power k of the frequency if the structure is supported, and with the
+  power k − 2 if it is free; at a driving point the phase is then 90° ahead of the phase at a resonance if the
+  structure is supported, and 90° behind it if it is free;
+- at a resonance a receptance and an accelerance are imaginary, and a mobility is real;
+- the real part of the mobility at a driving point is nowhere negative, because the force supplies power;
 - H_jk = H_kj.
 """
 
@@ -21,29 +22,29 @@ from fmu.posterior.data.frf.peaks import KINDS, Spectra, lines_near, pick_peaks
 from fmu.types import BoolArray
 
 _PROMINENCE = 2.0
-"""Smallest prominence of a resonance whose phase counts."""
+"""Smallest prominence of a resonance whose phase is considered."""
 _OF_FIRST = 0.4
-"""Lines below this share of the first resonance give the slope."""
+"""The slope is fitted to lines below this share of the first resonance."""
 _FEWEST_LINES, _LEAST_RATIO = 5, 1.3
-"""The slope needs so many lines, and so large a ratio of their highest to their lowest frequency."""
+"""Smallest number of lines for the slope, and smallest ratio of their highest to their lowest frequency."""
 _WHOLE = 0.3
-"""Largest distance of a slope from a whole number; another slope says nothing."""
+"""Largest distance of a slope from a whole number; any other slope is inconclusive."""
 _CLEAR = 0.5
-"""Smallest modulus of the mean phase at resonances, which is 1 where all agree."""
+"""Smallest modulus of the mean phase at resonances, which is 1 if all of them agree."""
 _STANDS_OUT = 4.0
-"""Number of standard deviations of a value that is surely not noise."""
+"""Number of standard deviations beyond which a value is certainly not noise."""
 _PART, _PART_UNKNOWN = 0.1, 0.2
-"""Smallest share of |H| of a real part that counts, with and without standard deviations."""
+"""Smallest share of |H| at which a real part is considered, with and without standard deviations."""
 _FEWEST_WRONG, _WRONG_SHARE = 3, 0.05
 _RECIPROCAL = 0.1
-"""Smallest relative difference of reciprocal FRFs without standard deviations that is told."""
+"""Smallest relative difference of reciprocal FRFs that is reported if there are no standard deviations."""
 _TOO_FAR = 5.0
-"""Number of standard deviations by which χ² of reciprocal FRFs must exceed its mean."""
+"""Number of standard deviations by which χ² of reciprocal FRFs must exceed its mean for a warning."""
 _FEWEST_FREEDOM = 8.0
 
 
 class _Signs(NamedTuple):
-    """Signs of the kind of FRFs; None or NaN where the FRFs do not tell.
+    """Evidence on the kind of FRFs; None or NaN if the FRFs are inconclusive.
 
     Attributes
     ----------
@@ -70,13 +71,13 @@ class _Signs(NamedTuple):
 
 
 def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
-    """Return sentences on signs of a wrong kind, polarity or place of FRFs.
+    """Return warnings that FRFs may have the wrong kind, polarity or position, one sentence each.
 
     Parameters
     ----------
     spectra : Spectra
     k : int
-        The power of iω by which receptances were multiplied to get the measured FRFs.
+        The power of iω by which receptances were multiplied to obtain the measured FRFs.
     freedom : float
         Degrees of freedom of the standard deviations.
     """
@@ -92,7 +93,7 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return a sentence if the slope below the first resonance, or the phase at resonances, is of another kind."""
+    """Return a sentence if the slope below the first resonance or the phase at resonances fits another kind."""
     signs = _signs(spectra, k)
     if signs is None or (signs.slope_fits(k) and signs.phase_fits(k)):
         return []
@@ -110,7 +111,7 @@ def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
 
 
 def _signs(spectra: Spectra, k: int) -> _Signs | None:
-    """Return the signs of the kind of the FRFs; None if they have no resonance."""
+    """Return the evidence on the kind of the FRFs; None if they have no resonance."""
     whole_range = spectra._replace(used=np.isfinite(spectra.receptance))
     peaks = pick_peaks(whole_range, prominence=_PROMINENCE).frequencies_hz
     if not len(peaks):
@@ -132,7 +133,7 @@ def _signs(spectra: Spectra, k: int) -> _Signs | None:
         f, h = spectra.frequencies_hz[low], measured[i, low]
         if len(f) < _FEWEST_LINES or f[-1] < _LEAST_RATIO * f[0]:
             continue
-        rise = np.log(np.abs(h) * (1.0 - (f / peaks[0]) ** 2))  # without the part of the first mode
+        rise = np.log(np.abs(h) * (1.0 - (f / peaks[0]) ** 2))  # without the amplification by the first mode
         slopes.append(float(np.polyfit(np.log(f), rise, 1)[0]))
         if is_drive[i]:
             ahead += float((np.mean(h / np.abs(h)) * resonant[i].sum().conj() / np.abs(resonant[i]).sum()).imag)
@@ -143,7 +144,7 @@ def _signs(spectra: Spectra, k: int) -> _Signs | None:
 
 
 def _clear(spectra: Spectra, i: int) -> BoolArray:
-    """Return whether the values of an FRF stand out of the noise, shape (n_lines,)."""
+    """Return whether the values of FRF `i` stand out of the noise, shape (n_lines,)."""
     height = np.abs(spectra.receptance[i])
     if spectra.sd is None:
         return np.isfinite(height)
@@ -151,7 +152,7 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
 
 
 def _power_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return a sentence for each driving point at which the force seems to take power out."""
+    """Return a sentence for each driving point at which the force seems to extract power."""
     other = "" if k == 1 else f", or if it is {'a receptance' if k else 'an accelerance'}, say so by its kind"
     told = []
     for i in np.flatnonzero(spectra.at_drive).tolist():

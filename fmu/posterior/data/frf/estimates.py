@@ -12,7 +12,7 @@ from fmu.types import ComplexArray, FloatArray
 
 Estimator = Literal["H1", "H2"]
 _SEGMENTS = 8
-"""Number of segments, without overlap, of a long record by default."""
+"""Default number of segments, without overlap, of a long record."""
 
 
 class Estimate(NamedTuple):
@@ -21,7 +21,7 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_lines,)
-        From 0 Hz.
+        Frequencies of the lines, from 0 Hz.
     values : ndarray of complex, shape (n_frfs, n_lines)
     coherence : ndarray, shape (n_frfs, n_lines)
     averages : float
@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """Return |H| √((1 − γ²)/(2 γ² n)) of FRFs, infinite where γ² = 0; all arrays have shape (n_frfs, n_lines)."""
+    """Return |H| √((1 − γ²)/(2 γ² n)) of FRFs, infinite if γ² = 0; all arrays have shape (n_frfs, n_lines)."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)))
 
@@ -43,15 +43,15 @@ def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float
 def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
     """Return the mean (n_frfs, n_lines) of repeated FRFs, its standard deviation, and the number of hits.
 
-    With n hits at a line, s² = Σ |H_j − mean|²/(2 (n − 1)) is the variance of the real part and of the imaginary
-    part of one hit, and s/√n the standard deviation of the mean.
+    With n hits at a line, s² = Σ |H_j − mean|²/(2 (n − 1)) is the variance of the real part, and of the imaginary
+    part, of one hit. The standard deviation of the mean is s/√n.
 
     Parameters
     ----------
     values : array_like of complex, shape (n_hits, n_frfs, n_lines)
         NaN where a hit failed.
     invert : bool
-        Whether to average the reciprocals, of dynamic stiffnesses.
+        Whether to average the reciprocals, for dynamic stiffnesses.
 
     Returns
     -------
@@ -99,10 +99,10 @@ def estimate_frfs(
 ) -> Estimate:
     """Return FRFs estimated from one force and the responses to it; see `fmu.FRFData.from_records`.
 
-    The spectra are Welch's, by `scipy.signal` (1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
-    Where a segment is not several times longer than the structure's decay 1/(2π ζ f), leakage makes the resonances
-    too low and too wide, and the coherence shows only part of this bias. Segments that overlap are correlated:
-    see `independent_averages`.
+    The spectra are computed by Welch's method in `scipy.signal` (1967, IEEE Transactions on Audio and
+    Electroacoustics 15, 70). Unless a segment is several times longer than the structure's decay time 1/(2π ζ f),
+    leakage makes the resonances too low and too wide, and the coherence shows only part of this bias. Segments
+    that overlap are correlated: see `independent_averages`.
 
     Raises
     ------
@@ -140,8 +140,8 @@ def estimate_frfs(
 def independent_averages(window: FloatArray, step: int, n_segments: int) -> float:
     """Return the number of independent averages with the same variance as overlapping segments.
 
-    K/(1 + 2 Σ_j (1 − j/K) ρ_j) with ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch 1967, IEEE Transactions on
-    Audio and Electroacoustics 15, 70).
+    This is K/(1 + 2 Σ_j (1 − j/K) ρ_j) for K segments, with ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch
+    1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
 
     Parameters
     ----------

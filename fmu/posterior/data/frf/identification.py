@@ -28,7 +28,7 @@ _FEWEST_LINES = 40
 _WIDTHS = 2.0
 """Number of half bandwidths, or of lines, within which a pole belongs to a resonance."""
 _WINDOW_HZ = 2.0
-"""Width of the window, Hz, in which sdypy-EMA at last looks for stable poles."""
+"""Width of the window, Hz, in which sdypy-EMA finally looks for stable poles."""
 
 
 class IdentifiedModes(NamedTuple):
@@ -37,7 +37,7 @@ class IdentifiedModes(NamedTuple):
     Attributes
     ----------
     modes : ModalData
-        Frequencies, and shapes at the points that are not the reference.
+        Frequencies, and shapes at the other ends of the FRFs with the reference.
     damping : ndarray, shape (n_modes,)
         Damping ratios.
     missed_hz : ndarray, shape (n_missed,)
@@ -56,7 +56,7 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
     ----------
     spectra : Spectra
     k : int
-        The power of iω by which receptances were multiplied to get the measured FRFs.
+        The power of iω by which receptances were multiplied to obtain the measured FRFs.
     n : int, optional
         Largest number of modes.
     reference : (place, direction), optional
@@ -67,8 +67,8 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
     ImportError
         If sdypy-EMA is not installed.
     ValueError
-        If the lines are not evenly spaced or too few, no FRF has the reference, there is no resonance, or a shape
-        is too complex to be treated as real.
+        If the lines are not evenly spaced or too few, no FRF has the reference, there is no resonance or no stable
+        pole, or a shape is too complex to be treated as real.
     """
     rows, sensors = _of_reference(spectra, reference)
     lines = np.flatnonzero(spectra.used[rows].any(axis=0))
@@ -91,7 +91,7 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
 def _of_reference(spectra: Spectra, reference: Dof | None) -> tuple[list[int], tuple[Dof, ...]]:
     """Return the rows of the FRFs with the reference at one end, and the points at their other ends.
 
-    By default, the reference is the drive or the response of most FRFs.
+    The reference defaults to the drive or the response that most FRFs share. Raise ValueError if no FRF has it.
     """
     ends = (spectra.drives, spectra.responses)
     groups: dict[tuple[int, Dof], list[int]] = {}
@@ -107,7 +107,7 @@ def _of_reference(spectra: Spectra, reference: Dof | None) -> tuple[list[int], t
 
 
 def _check_lines(f: FloatArray) -> None:
-    """Raise ValueError unless the lines are multiples of one spacing, and enough."""
+    """Raise ValueError unless there are enough lines, evenly spaced, at multiples of the spacing."""
     advice = "; pick_frequencies takes any lines"
     if len(f) < _FEWEST_LINES:
         raise ArgumentError("frequencies_hz", f"must be at least {_FEWEST_LINES} lines in use", len(f), advice)
@@ -124,19 +124,19 @@ def _width(f: FloatArray, peaks: Peaks) -> FloatArray:
 
 
 def _poles(f: FloatArray, measured: Any, peaks: Peaks, k: int) -> tuple[FloatArray, FloatArray, Any]:
-    """Return frequencies (m,), Hz, damping ratios (m,) and modal constants (n_frfs, m) of m poles near peaks."""
+    """Return frequencies (m,), Hz, damping ratios (m,) and modal constants (n_frfs, m) of poles near the peaks."""
     try:
         from sdypy import EMA
     except ImportError:
         raise ImportError("modes are identified by sdypy-EMA: install fmu[ema]") from None
     n_before = round(float(f[0] * (len(f) - 1) / (f[-1] - f[0])))
-    padded = np.pad(measured, ((0, 0), (n_before, 0)))  # sdypy-EMA may err by a line when it pads
+    padded = np.pad(measured, ((0, 0), (n_before, 0)))  # sdypy-EMA may be off by a line when it pads
     # its window for stable poles has a fixed width in Hz: the frequencies are scaled so that it fits the peaks
     scale = _WINDOW_HZ / float(np.min(_width(f, peaks)))
     axis = np.linspace(0.0, f[-1] * scale, padded.shape[1])
     order = max(_LEAST_ORDER, _ORDERS_OF_A_MODE * len(peaks.damping))
     settings = {"lower": axis[n_before], "upper": axis[-1], "frf_form": KINDS[k]}
-    with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):  # its progress bars
+    with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):  # hide its progress bars
         warnings.simplefilter("ignore")
         try:
             model = EMA.Model(padded, axis, pol_order_high=min(order, len(f) // _LINES_OF_AN_ORDER), **settings)

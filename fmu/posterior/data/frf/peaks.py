@@ -9,33 +9,33 @@ import numpy as np
 from fmu.types import BoolArray, ComplexArray, Dof, FloatArray
 
 KINDS = ("receptance", "mobility", "accelerance")
-"""Kinds of FRFs by the power k of iω by which the receptance is multiplied."""
+"""Kinds of FRFs in order of the power k of iω by which the receptance is multiplied."""
 PROMINENCE = 1.2
-"""Smallest ratio of a peak to the higher of the valleys beside it."""
+"""Smallest ratio of a peak to the higher of the adjacent valleys."""
 _NOISE = 6.0
-"""Smallest height of a peak above that valley, in standard deviations of the noise."""
+"""Smallest height of a peak above the higher of the adjacent valleys, in standard deviations of the noise."""
 _NEAR = 0.3
 """Share of a peak's height down to which lines belong to the resonance."""
 _OF_LARGEST = 0.25
-"""Smallest share that the second singular value must have of the first at a second mode."""
+"""Smallest ratio of a lower singular value to the largest one at a second mode."""
 _WIDTHS = 3.0
-"""Number of half bandwidths within which two peaks of one shape are of one mode."""
+"""Number of half bandwidths within which two peaks with the same shape belong to one mode."""
 _MOST_LINES = 60
 """Largest number of lines on each side of a peak in a fit."""
 _RESIDUAL_FROM = 9
-"""Smallest number of lines in a fit that has terms of the other modes."""
+"""Smallest number of lines for a fit with terms of the other modes."""
 _NEIGHBOURS = 31
-"""Number of lines over which noise is estimated where no standard deviation is known."""
+"""Number of lines over which noise is estimated if no standard deviation is known."""
 
 
 class Peaks(NamedTuple):
-    """Resonances in ascending order.
+    """Resonances in ascending order of frequency.
 
     Attributes
     ----------
     frequencies_hz : ndarray, shape (m,)
     damping : ndarray, shape (m,)
-        Damping ratios; NaN where the lines are too few.
+        Damping ratios; NaN if there are too few lines.
     """
 
     frequencies_hz: FloatArray
@@ -43,14 +43,14 @@ class Peaks(NamedTuple):
 
 
 class Receptance(NamedTuple):
-    """Receptances (n_frfs, n_lines) in m/N, and their standard deviations of the same shape if they are known."""
+    """Receptances (n_frfs, n_lines) in m/N, and their standard deviations with the same shape, if known."""
 
     values: ComplexArray
     sd: FloatArray | None
 
 
 class Spectra(NamedTuple):
-    """What the search for resonances and the doubts need of measured FRFs.
+    """The properties of measured FRFs that the search for resonances and the warnings need.
 
     Attributes
     ----------
@@ -61,9 +61,9 @@ class Spectra(NamedTuple):
         Standard deviation of the real and of the imaginary part of the receptance.
     used : ndarray of bool, shape (n_frfs, n_lines)
     drives, responses : tuple of (place, direction)
-        Of each FRF.
+        Drive and response of each FRF.
     labels : tuple of str
-        Of each FRF.
+        Label of each FRF.
     """
 
     frequencies_hz: FloatArray
@@ -81,7 +81,7 @@ class Spectra(NamedTuple):
 
     @property
     def at_drive(self) -> BoolArray:
-        """Whether the response of each FRF is at its drive and along it, shape (n_frfs,)."""
+        """Whether the response of each FRF is measured at its drive and in its direction, shape (n_frfs,)."""
         return np.array([response == drive for response, drive in self.axes])
 
     @property
@@ -91,7 +91,7 @@ class Spectra(NamedTuple):
 
     @property
     def signs(self) -> FloatArray:
-        """-1 for each FRF of which one direction has a minus, else 1, shape (n_frfs, 1)."""
+        """Sign of each FRF, (n_frfs, 1): -1 if either its drive or its response has a minus direction, else 1."""
         minus = [
             drive[1].startswith("-") != response[1].startswith("-")
             for drive, response in zip(self.drives, self.responses, strict=True)
@@ -116,32 +116,33 @@ class _Peak(NamedTuple):
     shape: ComplexArray
 
     def is_same(self, other: _Peak) -> bool:
-        """Return True if another peak is near and has a similar shape, so that it is of the same mode."""
+        """Return True if another peak is close and has a similar shape, so that both belong to the same mode."""
         wide = _WIDTHS * np.nan_to_num(max(self.damping, other.damping)) * self.omega
         return bool(abs(self.omega - other.omega) < wide and abs(np.vdot(self.shape, other.shape)) ** 2 > 0.5)
 
 
 def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMINENCE) -> Peaks:
-    """Return the resonances at the peaks of the complex mode indicator function.
+    """Return the resonances at the peaks of the complex mode indicator function (CMIF).
 
-    The CMIF is the singular values of the matrix of mobilities (responses × drives) at each line (Shih, Tsuei,
-    Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest one must be
-    higher than the valley beside it by a factor, and stand out of the noise. A peak of another one is a second
-    mode near the first if it is not much smaller, and has another shape and a resonance of its own; elsewhere two
-    modes change places. Where some FRFs of the matrix were not measured, the root of the sum of the squares of all
-    FRFs takes the place of the CMIF, and two modes within a half-power bandwidth are one peak.
+    The CMIF is the set of singular values of the matrix of mobilities (responses × drives) at each line (Shih,
+    Tsuei, Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest singular
+    value counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak of a lower
+    singular value is a second mode near the first if it is not much smaller, and has another shape and a separate
+    resonance. Otherwise two modes exchange their order there. If some FRFs of the matrix were not measured, the
+    root of the sum of the squares of all FRFs replaces the CMIF, and two modes within a half-power bandwidth are
+    one peak.
 
-    The singular vectors of a peak combine the FRFs into one with one mode; a rational function of order two,
-    fitted to the lines near the peak, gives frequency and damping. The half-power bandwidth takes its place where
-    the fit fails.
+    The singular vectors of a peak combine the FRFs into a single FRF with one mode. A rational function of order
+    two, fitted to the lines near the peak, gives frequency and damping. If the fit fails, the line of the peak and
+    the half-power bandwidth give them.
 
     Parameters
     ----------
     spectra : Spectra
     n : int, optional
-        Largest number of resonances; those of the most prominent peaks are kept.
+        Largest number of resonances; the most prominent peaks are kept.
     prominence : float
-        Smallest ratio of a peak to the higher of the valleys beside it.
+        Smallest ratio of a peak to the higher of the adjacent valleys.
     """
     from scipy.signal import find_peaks
 
@@ -172,9 +173,10 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 
 
 def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, damping: float) -> bool:
-    """Return True if a peak of a lower curve at line i is of a second mode, not where two modes change places.
+    """Return True if a peak of a lower curve at line i is a second mode.
 
-    There the first curve has a valley. The resonance, rad/s, must be within two lines, and wider than one.
+    It is none where two modes exchange their order, because the first curve has a valley there. The resonance of a
+    second mode, rad/s, must be within two lines and wider than one.
     """
     low, high = max(i - 2, 0), min(i + 2, len(omega) - 1)
     is_valley = 0 < int(np.argmin(first[low : high + 1])) < high - low
@@ -183,7 +185,7 @@ def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, d
 
 
 def fill_gaps(spectra: Spectra) -> ComplexArray:
-    """Return the receptances with missing values interpolated between the lines beside them."""
+    """Return the receptances with missing values interpolated between the adjacent lines."""
     filled = spectra.receptance.copy()
     for row in filled:
         missing = np.isnan(row)
@@ -208,7 +210,8 @@ def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray
 def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
     """Return the largest standard deviation of the mobilities at each line, shape (n_lines,).
 
-    Where it is not known, it is the running median of the second differences over the lines.
+    If it is unknown, it is estimated from the running median of the squared second differences over the lines;
+    zero for fewer than `_NEIGHBOURS` lines.
     """
     from scipy.ndimage import median_filter
 
@@ -223,7 +226,10 @@ def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
 
 
 def lines_near(curve: FloatArray, i: int) -> slice:
-    """Return the lines around the peak at line i, down to `_NEAR` of its height or to the next valley."""
+    """Return the lines around the peak at line i, down to `_NEAR` of its height.
+
+    There are at most `_MOST_LINES` and, if possible, at least three on each side.
+    """
     ends = []
     for side in (curve[i::-1], curve[i:]):
         side = side[: _MOST_LINES + 1]
@@ -236,8 +242,8 @@ def lines_near(curve: FloatArray, i: int) -> slice:
 def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
     """Return the angular frequency and the damping ratio of a receptance with one mode; None if the fit fails.
 
-    h (k − x² + i c x) = p_0 + p_1 x + p_2 x² with x = ω/ω_0 is linear in the real k and c and the complex p;
-    p_1 and p_2 stand for the other modes and are left out where lines are few.
+    h (k − x² + i c x) = p_0 + p_1 x + p_2 x² with x = ω/ω_0 is linear in the real k and c and the complex p. The
+    terms p_1 and p_2 represent the other modes and are omitted if there are few lines.
     """
     at, scale = omega[len(omega) // 2], np.abs(h).max()
     x, g = omega / at, h / scale
@@ -253,7 +259,10 @@ def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
 
 
 def _half_power(omega: FloatArray, height: FloatArray) -> float:
-    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r) by the lines where the height is 1/√2 of its peak, or NaN."""
+    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r) from the frequencies where the height is 1/√2 of its peak.
+
+    The result is NaN if the lines do not reach down to this height on both sides.
+    """
     i = int(np.argmax(height))
     level = height[i] / np.sqrt(2.0)
     ends = []
