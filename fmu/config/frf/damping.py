@@ -86,7 +86,7 @@ def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ParameterTable]:
-    """Return the parameters of the structure, which no damping table refers to."""
+    """Return the structural parameters: all those to which no damping table refers."""
     named = {name for _, name in names_in(damping)}
     return [table for table in parameters if table.name not in named]
 

@@ -32,7 +32,7 @@ _CASES = (
 
 
 def plan_page(plan: Plan, simulated: SimulatedTests | None = None) -> Page:
-    """Return the page with verdicts, sensors, accuracy, customary choices, and further tests."""
+    """Return the page of a plan: verdicts, sensors, accuracy, customary choices, and further tests."""
     n = len(plan.chosen)
     lead = f"{len(plan.design.names)} parameters, {len(plan.design.modes)} modes, {n} sensors. {date.today()}."
     sections = [_sensors(plan), _accuracy(plan), _choices(plan), _further(plan)]

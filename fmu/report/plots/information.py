@@ -1,4 +1,4 @@
-"""Figures of the information in the data: prior and posterior densities, and sensitivities of the modes."""
+"""Figures of the information in the data: prior and posterior densities, and sensitivities of the frequencies."""
 
 from __future__ import annotations
 
