@@ -77,11 +77,11 @@ def certify(
 ) -> Certificate | None:
     """Bound the error of the reduced model at retained draws, and solve some of them with the full model.
 
-    The errors of the frequencies are bounded by their residuals (`fmu.fem.reduced.residuals`) at up to 512 draws
-    of small structures, and at fewer draws of larger structures or of several tests, chosen at random by the seed
-    of the trace. One in twelve of these draws, including the four with the largest bounds, is solved with the full
-    model (`fmu.fem.reduced.confirming`). At least 16 draws are solved, or 8 if the structure has 20 000 degrees of
-    freedom or more.
+    The errors of the frequencies are bounded by their residuals (`fmu.fem.reduced.residuals`). The draws are
+    chosen at random by the seed of the trace: up to 512 for small structures, fewer for larger structures or
+    several tests. One in twelve of these draws, including the four with the largest bounds, is solved with the
+    full model (`fmu.fem.reduced.confirming`). At least 16 draws are solved, or 8 if the structure has 20 000
+    degrees of freedom or more.
 
     Parameters
     ----------

@@ -151,13 +151,13 @@ def information(trace: xr.DataTree) -> Information | None:
     are informed. Therefore a parameter or direction counts as uninformed only if the entropy of its draws also
     matches a wide distribution.
 
-    A parameter is determined only in a combination if it is not itself an uninformed direction, and if it is not
-    informed or the uninformed directions leave it at least 0.3 of its prior variance.
+    A parameter is determined only in a combination in two cases: if it is not informed, or if the uninformed
+    directions leave it at least 0.3 of its prior variance. It must not itself be an uninformed direction.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        A trace with draws from the prior, as `fmu.sample` returns it.
+        A trace with draws from the prior, as returned by `fmu.sample`.
 
     Returns
     -------

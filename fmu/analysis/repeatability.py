@@ -58,8 +58,8 @@ class Repeatability:
     def effective(self) -> FloatArray:
         """Number of independent tests with the same standard error of the mean, at least 1, shape (n_modes,).
 
-        It is n (1 − ρ)/(1 + ρ) for an autoregressive series of order 1, where ρ is r_1 corrected for its bias in
-        short series, (r_1 + 1/n)/(1 − 3/n) to the first order in 1/n (Marriott & Pope 1954, Biometrika 41,
+        For an autoregressive series of order 1 it is n (1 − ρ)/(1 + ρ). Here ρ is r_1 corrected for its bias in
+        short series to the first order in 1/n, (r_1 + 1/n)/(1 − 3/n) (Marriott & Pope 1954, Biometrika 41,
         390–402).
         """
         n = np.maximum(self.n, 4)

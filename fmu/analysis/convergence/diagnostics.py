@@ -103,7 +103,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
 
 
 def summary_for_verdict(trace: xr.DataTree) -> pd.DataFrame:
-    """Return ``summary(trace)`` as far as the verdict needs it.
+    """Return the part of ``summary(trace)`` that the verdict needs.
 
     For the scores of single tests, which may be many, only R-hat is computed; their other columns are NaN.
     """

@@ -157,10 +157,11 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
 
     The autocorrelation is summed up to a window of five autocorrelation times, as in emcee, with two differences.
     First, the autocovariance is taken about the mean of the whole ensemble instead of each walker's own mean, and
-    averaged over the walkers before it is divided by the variance. This spares short runs their downward bias (4 %
-    instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), makes walkers that stay in
-    separate regions count as correlation, and is defined if a single walker never moves. Second, if the run is
-    shorter than the window, all lags are summed; emcee.autocorr.integrated_time then uses lag 0 alone, tau = 1.
+    averaged over the walkers before it is divided by the variance. This reduces the downward bias for short runs
+    (4 % instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process). Walkers that stay in
+    separate regions then count as correlation, and the time is defined even if a walker never moves. Second, if
+    the run is shorter than the window, all lags are summed; emcee.autocorr.integrated_time then uses lag 0 alone,
+    tau = 1.
 
     The time is NaN for an ensemble that does not move. It is at least 1/log10 of the number of draws, as in
     Vehtari et al. 2021.

@@ -123,8 +123,8 @@ class ModelFit:
     def reasons(self) -> tuple[str, ...]:
         """The reasons for the verdict, one sentence each.
 
-        If checks failed, these are their sentences. Else the reasons say which checks could have failed, how many
-        degrees of freedom are left, and whether a mode was held out.
+        If checks failed, these are their sentences. Otherwise the reasons state which checks could have failed,
+        how many degrees of freedom are left, and whether a mode was held out.
         """
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)

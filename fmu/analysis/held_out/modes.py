@@ -207,7 +207,7 @@ def _known_of(problem: UpdatingProblem) -> _Known:
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return the predictions after updating without each mode, by index, as far as the limit of solves allows.
+    """Return the predictions after updating without each mode, by index, within the limit of solves.
 
     All modes are first left out with the same candidates. Modes that these do not cover well are then left out
     with separate candidates. The results are cached: they depend only on the problem and not on the draws, so that

@@ -45,9 +45,8 @@ class Comparison(NamedTuple):
 def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
     """Return the index of the maximum that each draw (n, ndim) is near, shape (n,); −1 if it is near none.
 
-    A draw is near a maximum if the quadratic model of log P falls no further from the maximum to the draw than to
-    the surface of the ellipsoid that holds the share `NEARBY` of a Gaussian. A draw near several maxima belongs to
-    the maximum whose model is highest at the draw.
+    A draw is near a maximum if it is inside the ellipsoid that would hold the share `NEARBY` of a Gaussian, by the
+    quadratic model of log P. A draw near several maxima belongs to the maximum whose model is highest at the draw.
     """
     drop = maxima.drop(theta)
     height = np.where(drop <= _reach(theta), _peaks(maxima) - drop, -np.inf)

@@ -56,9 +56,9 @@ def mode_weights(
 
     The first estimate is the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less
     than e⁻⁴⁰ of the largest mass. A maximum so low that no width can compensate for it has no mass. The other
-    masses are found by importance sampling of P itself: `draws` draws from the Gaussian of each maximum and as
-    many from a Gaussian of twice its width, all weighted by the density of their mixture, and divided among the
-    maxima in proportion to exp(m).
+    masses are found by importance sampling of P itself. There are `draws` draws from the Gaussian of each maximum,
+    and as many from a Gaussian of twice its width. All are weighted by the density of their mixture, and divided
+    among the maxima in proportion to exp(m).
 
     Parameters
     ----------

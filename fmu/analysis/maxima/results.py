@@ -190,7 +190,7 @@ class Maxima:
 
     @property
     def are_weighed(self) -> bool:
-        """Whether all points with mass are maxima, and each mass has enough effective draws."""
+        """Whether all points with mass are maxima, and each mass is estimated from enough effective draws."""
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property

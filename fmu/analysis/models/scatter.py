@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 NEEDED, NOT_NEEDED = 0.95, 0.25
-"""A group is said to need a scatter from the first probability of τ > 0, and not to need it up to the second.
-If the posterior is narrow and near 0, this probability is still at least about the ratio of its width to that of
-the prior."""
+"""A group is said to need a scatter if the probability of τ > 0 is at least the first value, and not to need it
+if it is at most the second. This probability is about the ratio of posterior to prior width, or larger."""
 
 
 class Scatter(NamedTuple):

@@ -87,7 +87,7 @@ def paired_with_itself(
 ) -> PairedStructure:
     """Return a structure paired by shape with its own lowest elastic modes at `start`, observed at the sensors.
 
-    Up to `SPARE` modes above these are added, as far as the structure has them.
+    Up to `SPARE` modes above these are added if the structure has them.
 
     Raises
     ------

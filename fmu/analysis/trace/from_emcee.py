@@ -135,7 +135,7 @@ def from_emcee(
 
 
 class _Unknown:
-    """A density of which only the names of the parameters are known."""
+    """A density of which only the parameter names are known."""
 
     name = "emcee"
 

@@ -1,13 +1,13 @@
 """Warnings of measured frequency response functions that may have the wrong kind, polarity or position.
 
-With H = (iω)^k × receptance, k = 0 for a receptance, 1 for a mobility and 2 for an accelerance, a lightly damped
-structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
+Let H = (iω)^k × receptance, with k = 0 for a receptance, 1 for a mobility and 2 for an accelerance. A lightly
+damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
 
-- below the first resonance |H| rises with the power k of the frequency if the structure is supported, and with the
-  power k − 2 if it is free; at a driving point the phase is then 90° ahead of the phase at a resonance if the
-  structure is supported, and 90° behind it if it is free;
-- at a resonance a receptance and an accelerance are imaginary, and a mobility is real;
-- the real part of the mobility at a driving point is nowhere negative, because the force supplies power;
+- Below the first resonance |H| rises with the power k of the frequency if the structure is supported, and with the
+  power k − 2 if it is free. At a driving point the phase is then 90° ahead of the phase at a resonance if the
+  structure is supported, and 90° behind it if it is free.
+- At a resonance a receptance and an accelerance are imaginary, and a mobility is real.
+- The real part of the mobility at a driving point is nowhere negative, because the force supplies power.
 - H_jk = H_kj.
 """
 
