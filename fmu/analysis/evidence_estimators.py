@@ -36,7 +36,7 @@ def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]
     """Return log-evidence and its standard error by the optimal bridge (Meng & Wong 1996).
 
     The standard error follows Frühwirth-Schnatter (2004). In its formula, the number of posterior draws is
-    replaced by their effective sample size, which is at most `ratio` times their number.
+    replaced by the effective sample size of their contributions, but at most `ratio` times their number.
 
     Parameters
     ----------

@@ -233,7 +233,8 @@ def _regress_out(scores: FloatArray, k: int) -> FloatArray:
 def standard_scores(group: xr.Dataset) -> FloatArray:
     """Return scores that are standard normal if the model is correct, (n_tests, n_populations); NaN where unknown.
 
-    Tests that are probably outliers in the model, and scores that the data hardly inform, are NaN.
+    Tests that are probably outliers, and scores that the data hardly inform, are NaN. For populations that are
+    correlated in time, the innovations take the place of the scores.
     """
     mean, sd = (group[name].transpose("test", "population").to_numpy() for name in ("score", "score_sd"))
     informed = 1.0 - sd**2

@@ -190,8 +190,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 class _Known:
     """Cached results of a problem: for each mode the prediction and the limit of solves, and an approximation.
 
-    `is_gaussian` is False if the common candidates did not cover the posterior with all modes. In this case the
-    separate candidates of each mode, which are Gaussian too, are not tried.
+    `is_gaussian` is False if the common candidates did not cover the posterior with all modes. If separate runs
+    are possible, the separate candidates of each mode, which are Gaussian too, are then not tried.
     """
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
@@ -301,7 +301,7 @@ def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers:
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
-    """Return the predictions without each of `modes` and their limits of solves, if common candidates suffice."""
+    """Return the predictions without each of `modes`, with their limits of solves, if the candidates suffice."""
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))

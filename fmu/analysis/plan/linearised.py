@@ -160,7 +160,7 @@ def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return the candidates without those that no mode moves. Raise ValueError if the user named one of these."""
+    """Return the candidates that some mode moves. Raise ValueError if no mode moves one named by the user."""
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
     for k, rows in enumerate(there.groups):

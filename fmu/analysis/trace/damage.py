@@ -129,7 +129,7 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the posterior means before and after, SI units, of every parameter that may have lost a share.
+    """Return the posterior means before and after damage, SI units, of every parameter that has a loss.
 
     The value before is the mean over the tests of the reference state.
 

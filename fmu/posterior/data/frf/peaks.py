@@ -175,8 +175,8 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, damping: float) -> bool:
     """Return True if a peak of a lower curve at line i is a second mode.
 
-    It is none where two modes exchange their order, because the first curve has a valley there. The resonance of a
-    second mode, rad/s, must be within two lines and wider than one.
+    Where two modes only exchange their order, the first curve has a valley. The resonance of a second mode, rad/s,
+    must be within two lines and wider than one.
     """
     low, high = max(i - 2, 0), min(i + 2, len(omega) - 1)
     is_valley = 0 < int(np.argmin(first[low : high + 1])) < high - low
