@@ -10,8 +10,8 @@ def run(path, directory, pairing="shape", **length):
     problem = fmu.load(path, pairing)
     directory.mkdir(parents=True)
     KeptProblem(path, path.parent, pairing).save(directory)
-    settings = {"draws": 150, "warmup": 150, "chains": 2} | length
-    maxima = None if problem.is_hierarchical else fmu.find_map(problem, starts=8)
+    settings = {"draws": 50, "warmup": 50, "chains": 2} | length
+    maxima = None if problem.is_hierarchical else fmu.find_map(problem, starts=4)
     trace = fmu.sample(problem, "hmc", maxima=maxima, **settings)
     save_trace(trace, directory / "hmc.nc")
     return problem, trace

@@ -10,7 +10,7 @@ from tests.report.exported import run
 
 
 def test_the_updated_file_has_stiffness_and_damping(tmp_path):
-    _, trace = run(fmu.cases.path("cantilever-frf"), tmp_path / "run", draws=40, warmup=40)
+    _, trace = run(fmu.cases.path("cantilever-frf"), tmp_path / "run", draws=20, warmup=20)
     written = export(tmp_path / "run")
     folder = written.directory
     assert "cantilever-frf/frfs.csv" in written.files

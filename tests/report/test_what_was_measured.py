@@ -150,6 +150,7 @@ def test_assumptions_stand_below_the_verdicts(run, problem):
     assert check_page(fmu.check(problem, draws=20)).assumptions[1] == table  # one source for both
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_pages_have_it(traces, problem, tmp_path):
     index = write_pages(traces, tmp_path / "report")
     text = index.read_text(encoding="utf-8")

@@ -120,8 +120,11 @@ def flip(path, where):
 
 
 class TestGoingOn:
-    @pytest.mark.parametrize("sampler", SAMPLERS)
-    @pytest.mark.parametrize(("phase", "step"), [("warmup", 3), ("warmup", 27), ("draws", 35)])
+    # before anything is kept there is nothing of a sampler to come back
+    @pytest.mark.parametrize(
+        ("phase", "step", "sampler"),
+        [("warmup", 3, "mh"), *((*at, name) for at in (("warmup", 27), ("draws", 35)) for name in SAMPLERS)],
+    )
     def test_bitwise_after_a_kill(self, tmp_path, sampler, phase, step):
         with pytest.raises(Killed):
             ran(tmp_path, sampler=sampler, progress=killed_at(phase, step))

@@ -138,7 +138,7 @@ def of_shear_building(n, storeys, correlation=None):
     )
 
 
-@pytest.mark.parametrize("correlation", [None, 2.0])
+@pytest.mark.parametrize("correlation", [pytest.param(None, marks=pytest.mark.validate), 2.0])
 def test_populations_of_a_few_tests_have_an_effective_draw_in_fifteen_solves(correlation):
     """Sampled given the values in turn with the scores, they take 30 to 75."""
     problem, chains, draws = of_shear_building(8, 3, correlation), 8, 100

@@ -137,7 +137,7 @@ def test_hdf_files(tmp_path, written):
         with h5py.File(path) as file:
             assert len(file["mcmc"]["chain"]) == 150
     reader = emcee.backends.HDFBackend(path, read_only=True)
-    for source in (path, str(path), reader):
+    for source in (path, str(path), reader) if written == "at once" else (path,):
         trace = fmu.from_emcee(source, discard=10, thin=4, thin_by=thin_by)
         flat = reader.get_chain(discard=10, thin=4, flat=True)
         table = fmu.summary(trace)
@@ -299,6 +299,7 @@ def test_files_that_are_none(tmp_path):
         fmu.from_emcee(path, hdf_name="first")
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_report_of_an_imported_run(tmp_path, long):
     fmu.save_trace(fmu.from_emcee(long, discard=200), tmp_path / "emcee.nc")
     page = fmu.write_report(tmp_path).read_text(encoding="utf-8")

@@ -261,7 +261,7 @@ def test_moduli_that_scatter_over_the_tests_are_a_population():
         tests.append(fmu.Test(f"t{i}", its_modes))
     varies = {"k1": fmu.Population(), "k2": "test"}
     problem = fmu.JointProblem(building(), tests, parameters(), varies=varies, error=error)
-    trace = fmu.sample(problem, draws=200, warmup=100, seed=1)
+    trace = fmu.sample(problem, draws=100, warmup=50, seed=1)
     assert "converged" in str(fmu.diagnose(trace))
     found = trace["tests"]["k1"].to_numpy().reshape(-1, 4)
     assert np.all(np.abs(found.mean(axis=0) - own) < 4 * found.std(axis=0))

@@ -159,9 +159,13 @@ def test_a_group_state_stays_what_it_was():
     assert packed_state(SavedState("", "", group, {}, [], 0)) == before
 
 
-def tree_of(name, steps):
+def trees_of(name, *more):
+    """Return what a group is after so many steps of the warm-up, and so many more, …."""
     context = setting_of(name)
-    return advanced(context, begun(context), "warmup", steps).group.tree()
+    group = begun(context)
+    for steps in more:
+        group = advanced(context, group, "warmup", steps).group
+        yield group.tree()
 
 
 def leaves(tree, path=""):
@@ -175,8 +179,8 @@ def leaves(tree, path=""):
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_a_group_is_arrays_and_plain_values(name):
     """At any time of the warm-up, and after it."""
-    for steps in (1, WARMUP // 2, WARMUP):
-        for path, value in leaves(tree_of(name, steps)):
+    for tree in trees_of(name, 1, WARMUP // 2, WARMUP - WARMUP // 2 - 1):
+        for path, value in leaves(tree):
             if isinstance(value, np.ndarray | np.generic):
                 assert value.dtype.kind in "biuf", path
             else:
@@ -186,9 +190,8 @@ def test_a_group_is_arrays_and_plain_values(name):
 def test_what_was_seen_in_warm_up_is_dropped_at_its_end():
     """The positions of the warm-up are not kept with the state of every draw."""
     for name in ("mh", "slice", "hmc", "tempering, slice"):
-        assert (
-            sum(value.nbytes for _, value in leaves(tree_of(name, WARMUP)) if isinstance(value, np.ndarray)) < 9000
-        )
+        (tree,) = trees_of(name, WARMUP)
+        assert sum(value.nbytes for _, value in leaves(tree) if isinstance(value, np.ndarray)) < 9000
 
 
 @pytest.mark.parametrize("kind", [np.random.PCG64, np.random.MT19937, np.random.SFC64, np.random.Philox])

@@ -137,7 +137,7 @@ def test_a_loss_of_a_parameter_that_scatters(damage, noise):
 
 def test_the_loss_of_a_parameter_that_scatters_is_recovered():
     problem = fmu.JointProblem(*scattering(n=10), varies={"k1": SCATTERS["normal"]}, pairing="index")
-    trace = fmu.sample(problem, draws=200, warmup=250, chains=2, seed=2)
+    trace = fmu.sample(problem, draws=120, warmup=80, chains=2, seed=2)
     loss = trace["loss"]["k1"].to_numpy()
     assert abs(loss.mean() - 0.08) < 4 * loss.std()
     assert 0.5 < loss.std() / (0.02 * np.sqrt(1 / 5 + 1 / 5)) < 2.0  # of the difference of two means of 5
