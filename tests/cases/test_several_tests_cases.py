@@ -64,7 +64,7 @@ def test_the_scatter_is_found():
 
 @pytest.mark.validate
 def test_the_damage_is_found():
-    trace = fmu.sample(fmu.cases.load(cases.DAMAGE), draws=400, warmup=500, seed=3)
+    trace = fmu.sample(fmu.cases.load(cases.DAMAGE), draws=250, warmup=150, seed=3)
     table = fmu.damage(trace, (0.1,))
     for state in ("pattern 1", "pattern 2"):
         for group in cases.GROUPS:

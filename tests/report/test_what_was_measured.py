@@ -50,7 +50,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def traces(problem, refits):
-    return {"hmc": fmu.sample(problem, "hmc", draws=500, warmup=200, chains=4)}
+    return {"hmc": fmu.sample(problem, "hmc", draws=250, warmup=100, chains=4)}
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,7 @@ def posterior(frame, data):
     parameters = [Parameter(f"k{k + 1}", 1.1, 0.5, 2.0) for k in range(3)]
     problem = UpdatingProblem(model, data, parameters)
     # three frequencies have several sets of storeys; the shapes only pair
-    trace = sample(problem, "hmc", draws=200, warmup=200, chains=2, seed=1, init="start")
+    trace = sample(problem, "hmc", draws=100, warmup=60, chains=2, seed=1, init="start")
     return parameter_draws(trace).reshape(-1, 3)
 
 

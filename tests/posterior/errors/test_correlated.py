@@ -207,7 +207,7 @@ def test_draws_have_the_moments_of_closed_form(linear):
     from fmu.analysis.trace.reading import parameter_draws
 
     problem, mean, covariance = linear
-    trace = sample(problem, "hmc", draws=1000, warmup=300, chains=4, seed=3)
+    trace = sample(problem, "hmc", draws=600, warmup=150, chains=4, seed=3)
     table = summary(trace)
     draws = parameter_draws(trace).reshape(-1, 2)
     assert np.all(table["ess_bulk"] > 1000)

@@ -135,7 +135,7 @@ def test_k_and_m_are_separated_in_all_tests():
         fmu.JointProblem(chain(), tests, PARAMETERS, varies={"k1": "test"}, pairing="index", error=of)
         for of in ("frequency", error)
     )
-    traces = [fmu.sample(problem, draws=200, warmup=200, seed=1) for problem in (plain, both)]
+    traces = [fmu.sample(problem, draws=100, warmup=80, seed=1) for problem in (plain, both)]
     narrower = [fmu.summary(trace)["sd"] for trace in traces]
     assert np.all(narrower[0] / narrower[1] > 5.0)
     assert list(traces[1]["quantities"]["datum"].to_numpy()) == ["b: mass", "b: displacement of 1 x"]

@@ -21,7 +21,7 @@ def first_screen(off, upper=5.0):
     y = 100.0 + SLOPES @ [0.6, -0.9] + np.array([0.0, 0.0, off * 0.1])
     data = fmu.ModalData(y, labels=("W1", "W2", "T1"), sd_hz=0.1)
     problem = fmu.UpdatingProblem(LinearModel(), data, parameters)
-    trace = fmu.sample(problem, draws=500, warmup=300, chains=4)
+    trace = fmu.sample(problem, draws=250, warmup=100, chains=4)
     run = runs_of({"mixture": trace})["mixture"]
     return run, verdicts(run)
 

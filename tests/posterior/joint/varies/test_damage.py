@@ -57,7 +57,7 @@ def test_gradient_and_losses(building, damage):
 
 def test_the_damaged_storey_is_found_and_no_other(building):
     problem = posed(building, {"later": [0.0, 0.15, 0.0, 0.0]}, fmu.Damage())
-    trace = fmu.sample(problem, draws=300, warmup=300, seed=2)
+    trace = fmu.sample(problem, draws=200, warmup=120, seed=2)
     table = fmu.damage(trace, beyond=(0.05, 0.1))
     assert list(table.index) == [("later", name) for name in NAMES] + [("later", "any")]
     assert table.loc[("later", "k2"), "P(loss > 5 %)"] > 0.99
@@ -81,7 +81,7 @@ def test_a_spike_and_slab_pulls_small_losses_to_nothing(building):
     lost = {"later": [0.0, 0.15, 0.0, 0.0]}
     tables = []
     for prior in (fmu.Normal(0.3), fmu.SpikeAndSlab(0.1, spike=0.002)):
-        trace = fmu.sample(posed(building, lost, fmu.Damage(prior)), draws=300, warmup=300, seed=2)
+        trace = fmu.sample(posed(building, lost, fmu.Damage(prior)), draws=200, warmup=120, seed=2)
         assert fmu.summary(trace)["rhat"].max() < 1.05
         tables.append(fmu.damage(trace, beyond=(0.01,)).loc["later"])
     plain, sparse = tables

@@ -177,7 +177,7 @@ def test_a_kink_is_recovered_that_a_straight_line_takes_for_a_change(building):
     k1 = 1 - 0.01 * np.minimum(x, 0.0) - 0.003 * np.maximum(x, 0.0)
     tests = measured(building, np.stack([k1, np.ones(16)], axis=1), temperature=x)
     draws = {
-        name: fmu.sample(posed(building, tests, {"k1": {"temperature": law}}), draws=400, warmup=300, seed=1)
+        name: fmu.sample(posed(building, tests, {"k1": {"temperature": law}}), draws=250, warmup=150, seed=1)
         for name, law in {"kink": KINKED, "line": SLOPE}.items()
     }
     kinked = draws["kink"]["posterior"].to_dataset()
@@ -196,7 +196,7 @@ def test_a_missing_temperature_is_inferred(building):
     x = np.linspace(-15.0, 25.0, 12)
     factors = np.stack([1 - 0.01 * x, np.ones(12)], axis=1)
     tests = measured(building, factors, temperature=[None if t == 10 else x[t] for t in range(12)])
-    trace = fmu.sample(posed(building, tests, {"k1": {"temperature": SLOPE}}), draws=400, warmup=300, seed=1)
+    trace = fmu.sample(posed(building, tests, {"k1": {"temperature": SLOPE}}), draws=250, warmup=150, seed=1)
     found = trace["posterior"]["temperature [t10]"].to_numpy()
     assert abs(found.mean() - x[10]) < 4 * found.std()
     assert found.std() < 1.0  # of 12.4 before
