@@ -79,7 +79,7 @@ def page(outcomes: Sequence[Outcome]) -> str:
         "# The whole suite under each kernel\n\n"
         f"`python -m tests.validation.kernels results`, on {time.strftime('%Y-%m-%d')} with Python "
         f"{platform.python_version()}. The kernels of OpenBLAS are those that this processor can run "
-        "(`python -m tests.kernels`).\n\n"
+        "(`kernels` in `tests/kernels.py`).\n\n"
         f"{markdown_table(columns, rows)}\n{verdict}\n"
     )
 
