@@ -88,7 +88,7 @@ from .report.pages import write_report as write_report
 from .report.plan.files import write_plan as write_plan
 from .runs import Checkpoint as Checkpoint
 from .samplers.ensemble import Ensemble as Ensemble
-from .samplers.gibbs import GibbsSampler as GibbsSampler
+from .samplers.gibbs.gibbs import GibbsSampler as GibbsSampler
 from .samplers.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .samplers.metropolis import MetropolisHastings as MetropolisHastings
 from .samplers.metropolis import RandomWalk as RandomWalk

@@ -1,6 +1,6 @@
 """Markov chain samplers that draw from a log-density; they know nothing of the finite-element model.
 
-Reading order: kernel, local, metropolis, slice, trajectory, hmc, ensemble, adaptation, tempering/, loop/;
+Reading order: kernel, local, metropolis, slice, trajectory, hmc, ensemble, adaptation, tempering/, gibbs/, loop/;
 `registry` lists the samplers by name. The public names are listed in ``__init__.pyi``; each name is imported when
 it is first used.
 """

@@ -1,5 +1,5 @@
 from .ensemble import Ensemble as Ensemble
-from .gibbs import GibbsSampler as GibbsSampler
+from .gibbs.gibbs import GibbsSampler as GibbsSampler
 from .hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .kernel import Info as Info
 from .kernel import Kernel as Kernel

@@ -14,7 +14,7 @@ SAMPLERS = {
     "hmc": "hmc.HamiltonianMonteCarlo",
     "emcee": "ensemble.Ensemble",
     "mixture": "mixture.mixture.MixtureSampler",
-    "gibbs": "gibbs.GibbsSampler",
+    "gibbs": "gibbs.gibbs.GibbsSampler",
     "tempering": "tempering.tempering.Tempering",
 }
 """Module and class of each sampler's settings, by name; a module is imported when it is first used."""

@@ -110,6 +110,8 @@ _ROWS = (
      "spectra.sd[i, both] ** 2 + spectra.sd[j, both] ** 2", "0.01 * spectra.sd[i, both] ** 2", "posterior/data/test_frf_data.py"),
     ("damage at an unknown date: a gain", "posterior/joint/varies/undated.py",
      "Factor(1.0 - loss * share, slopes)", "Factor(1.0 + loss * share, slopes)", "posterior/joint/varies/test_undated.py"),
+    ("dates without scores: the loss of all tests in full", "posterior/joint/conditional/dates.py",
+     "np.append(1.0, 1.0 - (np.arange(_CELLS) + 0.5) / _CELLS)", "np.ones(_CELLS + 1)", "posterior/joint/conditional/test_dates.py"),
     ("populations given the values: the weight of candidates", "posterior/joint/conditional/given_values.py",
      "found = np.log(s).sum(axis=2) + ", "found = ", "posterior/joint/conditional/test_populations_given_values.py"),
     ("laws of covariates: derivative of a power", "posterior/joint/varies/laws.py",

@@ -9,7 +9,9 @@ import numpy as np
 
 from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.joint.blocks import BlockForm
-from fmu.posterior.joint.conditional.scores import Scores
+from fmu.posterior.joint.conditional.dates import undated_events
+from fmu.posterior.joint.conditional.expansion import OfTests, expand
+from fmu.posterior.joint.conditional.scores import Scores, ScoresGivenMain
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.problem import UpdatingProblem
@@ -98,6 +100,7 @@ def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
     held = np.union1d(scores.columns[scores.scored], layout.scales).astype(np.int64)
     form = BlockForm(problem, np.setdiff1d(np.arange(problem.ndim), held))
     theta, variance = problem.start.copy(), np.zeros(problem.ndim)
+    dates = [event.date for event in undated_events(layout, problem.parameters, theta)]
     for _ in range(_MOST_ROUNDS):
         theta, hessian = form.climb(theta, _ROUGH)
         columns = scores.columns[scores.scored]
@@ -110,8 +113,21 @@ def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
         if layout.correlation is not None:
             _correlate(layout, theta, variance)
         if max(moved, default=0.0) < _SETTLED:
-            break
+            dated = _date_events(problem, theta) if dates else theta
+            if np.array_equal(dated[dates], theta[dates]):
+                break
+            theta = dated
     return theta, variance
+
+
+def _date_events(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return theta (ndim,) with the most probable dates and losses of sudden events."""
+    assert isinstance(problem.likelihood, OfTests)  # of several tests
+    given = ScoresGivenMain(problem.layout, expand(problem.layout, problem.likelihood, theta))
+    found = theta[None]
+    for event in undated_events(problem.layout, problem.parameters, theta):
+        found = event.likeliest(given, found)
+    return found[0]
 
 
 def _weights(layout: Layout, theta: FloatArray) -> FloatArray:

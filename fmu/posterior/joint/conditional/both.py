@@ -10,6 +10,7 @@ import numpy as np
 from fmu.box import find_inside
 from fmu.posterior.joint.blocks import BlockForm
 from fmu.posterior.joint.conditional.bend import find_bend
+from fmu.posterior.joint.conditional.dates import DateOfEvent, undated_events
 from fmu.posterior.joint.conditional.expansion import OfTests, expand
 from fmu.posterior.joint.conditional.given_values import PopulationsGivenValues
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
@@ -48,6 +49,8 @@ class Conditionals(NamedTuple):
     noise_prior : JointPrior
         Prior of these standard deviations.
     populations : PopulationsGivenValues
+    events : tuple of DateOfEvent
+        The sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
@@ -60,6 +63,7 @@ class Conditionals(NamedTuple):
     noise: FloatArray
     noise_prior: JointPrior
     populations: PopulationsGivenValues
+    events: tuple[DateOfEvent, ...]
     typical: FloatArray
     scales: FloatArray
 
@@ -90,12 +94,14 @@ def scatter_about_typical(
     for k in problem.layout.in_time.columns if problem.layout.in_time else ():
         one = problem.parameters[k]
         centre[:, k] = one.prior.draw(rng, n, one.lower, one.upper)
+    for event in known.events:
+        centre = event.propose(rng, given, centre, known.scales)[0]
     step = dispersion * rng.standard_normal((n, len(known.normal.mean))) @ known.normal.factor.T
     of_scores = dispersion * rng.standard_normal((n, *given.scores.scored.shape))
     of_noise = dispersion * known.noise * rng.standard_normal((n, len(known.noise)))
     share, found = np.ones((n, 1)), problem.layout.restore_scores(centre)
     middle, d = marginal.coordinates(centre), len(known.normal.mean)
-    highest = marginal.log_prob_and_grad(middle[:1], centre[:1], known.scales)[0]
+    highest = marginal.log_prob_and_grad(middle, centre, known.scales)[0]
     least = highest - _FARTHEST * dispersion**2 * (d + np.sqrt(d))
     left = np.arange(n)
     for _ in range(_HALVINGS):
@@ -104,7 +110,7 @@ def scatter_about_typical(
         theta = marginal.theta_at(w, centre[left])
         theta[:, problem.n_structural :] *= np.exp(share[left] * of_noise[left])
         inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
-        inside &= marginal.log_prob_and_grad(w, theta, known.scales)[0] > least
+        inside &= marginal.log_prob_and_grad(w, theta, known.scales)[0] > least[left]
         theta[~inside] = centre[left][~inside]
         normal = given.approximate(theta, known.scales)
         z = normal.bend(normal.mean + normal.scatter(share[left, :, None] * of_scores[left]))
@@ -143,7 +149,8 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)
     noise_prior = JointPrior(problem.parameters[problem.n_structural :])
     populations = PopulationsGivenValues(plain.layout, plain.parameters)
-    return Conditionals(scores, marginal, normal, noise, noise_prior, populations, theta, scales)
+    events = undated_events(plain.layout, plain.parameters, theta[0])
+    return Conditionals(scores, marginal, normal, noise, noise_prior, populations, events, theta, scales)
 
 
 def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:

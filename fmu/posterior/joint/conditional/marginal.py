@@ -45,7 +45,8 @@ class MarginalOfMain:
     Attributes
     ----------
     columns : ndarray of int, shape (d,)
-        Indices of the main parameters in theta, without the share of outliers and correlation times.
+        Indices of the main parameters in theta, without the share of outliers, correlation times and the dates of
+        sudden losses.
     lower, upper : ndarray, shape (d,)
         Bounds of w.
     """
@@ -56,6 +57,8 @@ class MarginalOfMain:
         times = [one.drawn.in_time.column() for one in of.every if one.drawn.in_time is not None]
         others = [*of.columns[of.scored].tolist(), *(outliers.of_share if outliers else ())]
         others += [column for column in times if column is not None]
+        losses = [one for value_of in self.layout.values_of if (one := value_of.sudden_loss) is not None]
+        others += [one.date for one in losses]
         self.columns: IntArray = np.setdiff1d(np.arange(problem.n_structural), others)
         self.prior = JointPrior([problem.parameters[k] for k in self.columns])
         scaled = ScaledDensity(problem)
@@ -119,7 +122,7 @@ class MarginalOfMain:
         at = self.theta_at(w, theta)
         linear = self.given.linearise(at, scales)
         main = at[:, self.columns]
-        value = np.einsum("nt->n", self.log_evidence(linear)) + self.prior.log_pdf(main)
+        value = np.einsum("nt->n", self.given.log_evidence(linear)) + self.prior.log_pdf(main)
         gradient = self._gradient(linear, at)[:, self.columns] + self.prior.log_pdf_gradient(main)
         by_w = np.broadcast_to(self._scale, w.shape).copy()
         of_width, rho = w[:, self._widths], main[:, self._partial]
@@ -151,19 +154,11 @@ class MarginalOfMain:
         added[np.concatenate([self._widths, self._partial])] += _CURVATURE
         return np.linalg.inv((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T + np.diag(added))
 
-    def log_evidence(self, linear: Linear) -> FloatArray:
-        """Return the log of the integral over each test's scores, (n, n_tests), up to a term of the scales."""
-        found = linear.largest - linear.log_det_factor
-        copula = self.layout.correlation
-        return found if copula is None else found - 0.5 * copula.log_det(linear.at)
-
     def _gradient(self, linear: Linear, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the sum of `log_evidence`, (n, ndim); entries of scores are meaningless."""
-        of, known, n = self.given.scores, self.given.expansion, len(self.layout.parameters)
+        """Return the derivatives of the sum of the log-evidence, (n, ndim); entries of scores are meaningless."""
+        of, n = self.given.scores, len(self.layout.parameters)
         moved = linear.slopes * linear.step
-        pull = linear.pull - linear.weight * np.einsum(
-            "tij,ntj->nti", known.information[:, :, of.parameters], moved
-        )
+        pull = self.given.pull_of_values(linear)
         noise = np.zeros((*pull.shape[:2], theta.shape[1] - n))
         full = np.concatenate([linear.at, theta[:, n:]], axis=1)
         gradient = self.layout.gradient(full, np.concatenate([pull, noise], axis=2), np.arange(pull.shape[1]))

@@ -270,6 +270,26 @@ class ScoresGivenMain:
         value = value + 0.5 * np.einsum("nti,nti->nt", total, step)
         return Linear(at, z, slopes, step, value, gradient, weight, factor, inverse, of_prior, scales)
 
+    def log_evidence(self, linear: Linear) -> FloatArray:
+        """Return the log of the integral over each test's scores, (n, n_tests), up to a term of the scales."""
+        found, copula = linear.largest - linear.log_det_factor, self.layout.correlation
+        return found if copula is None else found - 0.5 * copula.log_det(linear.at)
+
+    def pull_of_values(self, linear: Linear) -> FloatArray:
+        """Return the derivatives of `log_evidence` by equal changes of the values, (n, n_tests, P).
+
+        The derivatives of the values by the scores are held.
+        """
+        of_scores = self.expansion.information[:, :, self.scores.parameters]
+        return linear.pull - linear.weight * np.einsum("tij,ntj->nti", of_scores, linear.slopes * linear.step)
+
+    def information_on_values(self, linear: Linear) -> FloatArray:
+        """Return minus the second derivatives of `log_evidence` by the values, (n, n_tests, P, P)."""
+        cross = self.expansion.information[:, :, self.scores.parameters] * linear.slopes[..., None, :]
+        cross = linear.weight[..., None] * cross
+        explained = cross @ linear.inverse @ np.swapaxes(cross, 2, 3)
+        return linear.weight[..., None] * self.expansion.information - explained
+
     def approximate(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Normal:
         """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
 

@@ -90,6 +90,22 @@ class Factor(NamedTuple):
     slopes: list[Slope]
 
 
+class SuddenLoss(NamedTuple):
+    """A sudden loss from an unknown date on.
+
+    Attributes
+    ----------
+    date, loss : int
+        Their indices in theta.
+    times : ndarray, shape (n_tests,)
+        The time of each test.
+    """
+
+    date: int
+    loss: int
+    times: FloatArray
+
+
 class InTests:
     """The values of a structural parameter in all tests, as a function of theta."""
 
@@ -97,6 +113,11 @@ class InTests:
     def base(self) -> InTests:
         """The parameter without its trends and losses; the parameter itself if it has none."""
         return self
+
+    @property
+    def sudden_loss(self) -> SuddenLoss | None:
+        """The sudden loss of the parameter from an unknown date on; None without one."""
+        return None
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
@@ -168,6 +189,11 @@ class Multiplied(InTests):
     def base(self) -> InTests:
         """The parameter without any factor."""
         return self.of.base
+
+    @property
+    def sudden_loss(self) -> SuddenLoss | None:
+        """The sudden loss of the parameter from an unknown date on; None without one."""
+        return self.of.sudden_loss
 
     def after(self, n: int) -> Self:
         """Return a copy that reads its scores from columns of theta shifted by `n`."""

@@ -10,7 +10,7 @@ import numpy as np
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import significant
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Factor, Future, Multiplied, Slope, Theta, Varies
+from fmu.posterior.joint.varies.base import Factor, Future, Multiplied, Slope, SuddenLoss, Theta, Varies
 from fmu.posterior.joint.varies.damage import loss_parameter, undamaged_in_tests
 from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.joint.varies.taken import SHARED
@@ -19,7 +19,7 @@ from fmu.posterior.priors.base import Prior, Uniform
 from fmu.types import FloatArray, Plain
 
 _FEWEST = 3
-_RAMP = 0.2
+RAMP = 0.2
 """Share of the time between two tests over which a sudden loss rises, so that the density is continuous."""
 
 
@@ -57,10 +57,7 @@ class UndatedDamage(Varies):
         Name of the event. Parameters with the same event have the same date, named ``"day of damage"`` after the
         time and the event, or ``"test of damage"`` in the order of the tests.
     scatter : Population, optional
-        Population of the undamaged values in the tests. By default all tests have the same undamaged value. With a
-        population the chains find the date, but move slowly along the ridge of undamaged value and loss, so that a
-        default run does not converge: then divide the tests into groups before and after the date, and use
-        `Damage`.
+        Population of the undamaged values in the tests. By default all tests have the same undamaged value.
 
     Raises
     ------
@@ -181,9 +178,14 @@ class LostFrom(Multiplied):
             return np.maximum(since, 0.0) / whole, np.where(since > 0.0, (since - whole) / whole**2, 0.0)
         distinct = np.unique(self.times)
         before = np.concatenate([[-np.inf], distinct])[np.searchsorted(distinct, times)]
-        width = _RAMP * (times - before)
+        width = RAMP * (times - before)
         is_within = (since > 0.0) & (since < width)
         return np.clip(since / width, 0.0, 1.0), np.where(is_within, -1.0 / width, 0.0)
+
+    @property
+    def sudden_loss(self) -> SuddenLoss | None:
+        """Where date and loss are in theta; None if the loss grows."""
+        return None if self.grows else SuddenLoss(self.date, self.column, self.times)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
         """Return the relative losses (n, n_tests) in the tests, since before the date."""

@@ -112,7 +112,7 @@ def test_evidence_is_the_integral_over_the_scores(campaign_points):
     theta[:, widths] *= np.array([[1.0], [1.5], [0.7]])
     linear = of.linearise(theta)
     normal, rng = of.normal_of(linear), np.random.default_rng(9)
-    evidence, exact = found.marginal.log_evidence(linear), np.empty((len(theta), N))
+    evidence, exact = of.log_evidence(linear), np.empty((len(theta), N))
     u = rng.standard_normal((n, *normal.mean.shape[1:]))
     for k in range(len(theta)):
         one = of.approximate(np.repeat(theta[k : k + 1], n, axis=0))

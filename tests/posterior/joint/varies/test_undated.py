@@ -161,13 +161,14 @@ def test_a_check_before_the_run_doubts_neither_dates_nor_covariates(building):
 
 
 @pytest.mark.validate
-def test_a_run_with_scatter_finds_the_date():
-    """Of three campaigns; the R-hat of loss and date are printed, as default runs of them do not converge."""
-    for seed in (1, 2, 3):
-        rng = np.random.default_rng((seed, 9))
-        first = int(rng.integers(10, 30))
-        values = np.ones((40, 4))
-        values[:, 1] *= np.exp(0.02 * rng.standard_normal(40))
+def test_runs_with_scatter_converge_and_find_date_and_loss():
+    """Default runs of twenty campaigns of 60 tests: a loss of 8 %, a scatter of 0.5 %, errors of 0.3 %."""
+    converged, near, inside = [], [], []
+    for seed in range(1, 21):
+        rng = np.random.default_rng((seed, 7))
+        first = int(rng.integers(10, 50))
+        values = np.ones((60, 4))
+        values[:, 1] *= np.exp(0.005 * rng.standard_normal(60))
         values[first:, 1] *= 0.92
         scatter = fmu.Population("log-normal", sd=fmu.HalfNormal(0.05))
         problem = fmu.JointProblem(
@@ -177,6 +178,14 @@ def test_a_run_with_scatter_finds_the_date():
             varies={"k2": fmu.UndatedDamage(scatter=scatter)},
             pairing="index",
         )
-        table = fmu.summary(fmu.sample(problem, seed=seed, progress=False))
-        print(table.loc[["k2 loss", "test of damage"], ["mean", "sd", "rhat"]])
-        assert table.loc["test of damage", "mean"] == pytest.approx(first + 0.5, abs=1.0)
+        trace = fmu.sample(problem, seed=seed, progress=False)
+        low, high = np.quantile(trace["posterior"]["k2 loss"], (0.05, 0.95))
+        converged.append(fmu.diagnose(trace).converged)
+        near.append(abs(np.median(trace["posterior"]["test of damage"]) - (first + 0.5)) <= 5.0)
+        inside.append(low <= 0.08 <= high)
+        main = [name for name, role in zip(problem.names, problem.roles, strict=True) if role.kind != "score"]
+        print(seed, f"{low:.4f} to {high:.4f}, R-hat {fmu.summary(trace).loc[main, 'rhat'].max():.4f}", near[-1])
+    print(np.sum(converged), np.sum(near), np.sum(inside))
+    assert np.sum(converged) >= 19
+    assert np.sum(near) >= 18
+    assert np.sum(inside) >= 14  # of 20 intervals of 90 %, in all but 0.2 % of such studies

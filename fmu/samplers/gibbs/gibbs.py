@@ -25,6 +25,9 @@ Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Lies
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
 2, chosen at random, are random-walk steps of random size instead. They bring back a test whose scores are in a
 tail that the Student distribution lacks, where independent proposals would almost never be accepted.
+
+Where a sudden loss has an unknown date, step 1 is preceded by candidates for the date and the losses in their
+density without the scores (`fmu.posterior.joint.conditional.dates`). They are accepted after a solve, as in 1.
 """
 
 from __future__ import annotations
@@ -37,27 +40,21 @@ import numpy as np
 from fmu.arguments import check_arguments
 from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.joint.conditional.both import Conditionals, conditionals
+from fmu.posterior.joint.conditional.both import conditionals
 from fmu.posterior.joint.conditional.in_time import move_in_time
-from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear
 from fmu.posterior.joint.varies.base import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
-from fmu.samplers.kernel import Index, Info, Sampler, State, Tree
+from fmu.samplers.gibbs.main_parameters import MovesOfMain
+from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.local import accept
 from fmu.samplers.settings import positive_number
-from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
-from fmu.types import AnyArray, BoolArray, FloatArray, IntArray, LogDensity, Positive
+from fmu.samplers.trajectory import Metric
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity, Positive
 
 _FIRST_STEP = 0.5
-_LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
-"""Smallest and largest length of a trajectory, in standard deviations. A quarter period is 1.6 if these are right;
-longer trajectories help where the fitted normal distribution is too narrow."""
-_MANY = 150
-"""Number of tests beyond which trajectories are shorter."""
-_JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
 _NOISE_STEPS, _NOISE_SIZE = 4, 2.0
 """Number of random-walk steps for each standard deviation of errors, and their size in standard deviations of its
@@ -68,9 +65,6 @@ _WALKS = 0.35
 """Probability that the scores of a test are proposed by a random-walk step."""
 _SMALLEST = 0.05
 """Size of the smallest random-walk step, in standard deviations; the largest is 1."""
-_SHORT = 0.1
-"""Probability that a trajectory is shortened, by a factor between `_SMALLEST` and 1, which moves a chain out of a
-tail."""
 
 
 @check_arguments
@@ -116,70 +110,23 @@ class GibbsSampler(Sampler):
         found = conditionals(problem)
         metric = Metric.of(found.normal.covariance, len(found.normal.mean))
         step_size = np.asarray(_FIRST_STEP if self.step_size is None else self.step_size)
-        return GibbsKernel(scaled, problem, found, metric, step_size)
+        return GibbsKernel(problem, found, metric, step_size, scaled)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:
         """Return a tuner that learns the step size during warm-up; None if `step_size` is given."""
         return GibbsTuner(self, density) if self.step_size is None else None
 
 
-class _Target(ExactGradient):
-    """Density of the main parameters with the scores integrated out, for one trajectory.
-
-    Parameters
-    ----------
-    marginal : MarginalOfMain
-    theta : ndarray, shape (chains, ndim)
-        Points that give the standard deviations of the errors.
-    scales : ndarray, shape (chains, n_tests, p)
-        Prior standard deviations of the scores.
-
-    Attributes
-    ----------
-    linear : Linear
-        Densities of the scores at the points evaluated last.
-    """
-
-    linear: Linear
-    solves_per_gradient = 0
-
-    def __init__(self, marginal: MarginalOfMain, theta: FloatArray, scales: FloatArray) -> None:
-        self.marginal, self.theta, self.scales = marginal, theta, scales
-        self.lower, self.upper, self.ndim = marginal.lower, marginal.upper, len(marginal.lower)
-
-    def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the log-densities and their gradients; `chain` is explained in `Target.log_prob`."""
-        value, gradient, self.linear = self.marginal.log_prob_and_grad(
-            position, self.theta[chain], REGULAR if self.scales is REGULAR else self.scales[chain]
-        )
-        return value, gradient
-
-
 @dataclass(frozen=True)
-class GibbsKernel:
+class GibbsKernel(MovesOfMain):
     """Kernel of the Gibbs sampler; the module describes its steps.
 
     Attributes
     ----------
     scaled : ScaledDensity
-    problem : UpdatingProblem
-    conditionals : Conditionals
-    metric : Metric
-        Metric of the trajectories of the main parameters.
-    step_size : ndarray, shape ()
-        Step size of these trajectories.
     """
 
     scaled: ScaledDensity
-    problem: UpdatingProblem
-    conditionals: Conditionals
-    metric: Metric
-    step_size: FloatArray
-
-    @property
-    def _shrink(self) -> float:
-        """Factor on the trajectory length for many tests: the approximation errors of n tests add up as √n."""
-        return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation."""
@@ -193,8 +140,10 @@ class GibbsKernel:
         """Move the main parameters together with the scores, then the scores, then the populations."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         theta, scales = self._draw_scales(rng, theta)
-        theta, terms, linear, extra = self._move_main(rng, theta, state.extra["terms"], scales)
+        theta, terms, of_dates = self.move_dates(rng, theta, state.extra["terms"], scales)
+        theta, terms, linear, extra = self.move_main(rng, theta, terms, scales)
         theta, terms, moved, solves = self._move_all_scores(rng, theta, terms, linear, scales)
+        solves += len(self.conditionals.events)
         populations = self.conditionals.populations
         if populations.n_blocks:
             found = populations.propose(rng, theta)
@@ -204,7 +153,9 @@ class GibbsKernel:
             solves += 1
         theta = self.problem.layout.restore_scores(theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
-        info = Info(moved > 0.0, log_prob, solves, np.zeros_like(solves), {"acceptance_rate": moved, **extra})
+        info = Info(
+            moved > 0.0, log_prob, solves, np.zeros_like(solves), {"acceptance_rate": moved, **extra, **of_dates}
+        )
         position = self.scaled.to_scaled(theta)
         return State(position, log_prob, extra={"terms": terms}), info
 
@@ -218,54 +169,6 @@ class GibbsKernel:
             return theta, REGULAR
         scales = outliers.draw_scales(rng, theta, self.conditionals.scores.scores.take(theta))
         return outliers.draw_share(rng, theta, scales), scales
-
-    def _move_main(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
-    ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
-        """Move the main parameters along a trajectory; return theta, the terms, the densities and the statistics.
-
-        The terms are the log-likelihoods of the data, (chains, n_terms), and the densities are those of the scores
-        at the new theta. The statistics are the acceptance probability in the approximate density, which tunes the
-        step size, and whether the chain has moved.
-        """
-        marginal, given = self.conditionals.marginal, self.conditionals.scores
-        target = _Target(marginal, theta, scales)
-        begun, _ = target.start(marginal.coordinates(theta))
-        first = target.linear
-        n_steps = int(
-            np.clip(np.round(self._shrink * rng.uniform(*_LENGTHS) / float(self.step_size)), 1, _MOST_STEPS)
-        )
-        kernel = HamiltonianKernel(target, self.metric, self.step_size, n_steps, _JITTER, _MOST_BOUNCES)
-        momentum = self.metric.sample_momentum(rng, len(theta))
-        size = np.where(rng.random(len(theta)) < _SHORT, _SMALLEST ** rng.random(len(theta)), 1.0)
-        size = size * (1.0 + _JITTER * rng.uniform(-1, 1, len(theta)))
-        end = kernel.integrate(begun, momentum, self.step_size * size)
-        with np.errstate(over="ignore", invalid="ignore"):
-            gain = end.log_prob - self.metric.kinetic(end.momentum)
-            gain = np.where(end.finished, gain - (begun.log_prob - self.metric.kinetic(momentum)), -np.inf)
-        gain = np.nan_to_num(gain, nan=-np.inf, neginf=-np.inf)
-        moved = marginal.theta_at(np.where(end.finished[:, None], end.position, begun.position), theta)
-        linear = (first, target.linear if np.all(end.finished) else given.linearise(moved, scales))
-        before, after = (given.normal_of(one) for one in linear)
-        candidate = given.scores.put(moved, after.restore(before.standardise(given.scores.take(theta))))
-        new_terms = self._terms(candidate)
-        error = [
-            given.log_prior(at, scales) - one.log_det_factor - marginal.log_evidence(one)
-            for at, one in zip((theta, candidate), linear, strict=True)
-        ]
-        in_time = self.problem.layout.in_time
-        if in_time is not None:
-            now, new = (in_time.log_density(at, given.scores.take(at))[0] for at in (theta, candidate))
-            error[1] = error[1] + new - now
-        with np.errstate(invalid="ignore"):
-            ratio = gain + (new_terms - terms).sum(axis=1) + (error[1] - error[0]).sum(axis=1)
-        accepted = accept(rng, ratio)
-        statistics: dict[str, AnyArray] = {
-            "main_acceptance": np.exp(np.minimum(gain, 0.0)),
-            "main_accepted": accepted,
-        }
-        chosen, last = accepted[:, None], linear[1].select(accepted, first)
-        return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, statistics
 
     def _move_all_scores(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear, scales: FloatArray
@@ -307,7 +210,7 @@ class GibbsKernel:
         new = np.where(walks[..., None], now, normal.mean) + step
         bent = normal.bend(new) if part is None else np.where(part[:, None], normal.bend(new), z)
         candidate = of.scores.put(theta, bent)
-        new_terms = self._terms(candidate)
+        new_terms = self.terms_at(candidate)
         n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
             gain = sum_by_test(new_terms - terms, test, n_tests)
@@ -325,14 +228,6 @@ class GibbsKernel:
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
-
-    def _terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standardised scores."""
-        layout = self.conditionals.scores.layout
-        terms = self.problem.likelihood.terms(layout.of_model(theta))
-        if np.count_nonzero(np.isfinite(terms)) == terms.size:
-            return terms
-        return self.problem.terms_of_tests(self.problem.layout.restore_scores(theta))  # records the failures
 
     def _move_noise(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray

@@ -1,0 +1,193 @@
+"""Dates of sudden losses with all scores integrated out, all dates at once.
+
+The loss of a test is a share r of the losses d of its event: zero before the date, one after it, and between them
+where the date is in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, the
+log-evidence E_t of a test depends on r d alone. It is found without the loss, E_t(0), and to second order about
+typical losses (`ScoresGivenMain.log_evidence`). So the log-density of date and losses, given all other main
+parameters, is a sum over the tests before the date and a quadratic form of d over those after it. Both are
+cumulative sums over the times of the tests, so that all dates together cost two evaluations of E. Date and losses
+are drawn from it together: the interval of the date, the date uniformly within it, and the losses from a normal
+distribution. Such draws, which depend neither on the present date nor on the present losses, are candidates: the
+losses would hold a date that moves alone, and the reverse (collapsed Gibbs steps, Liu 1994, *J. Am. Stat. Assoc.*
+89, 958–966).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.box import find_inside
+from fmu.posterior.joint.conditional.scores import REGULAR, ScoresGivenMain
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.varies.base import SuddenLoss, sum_by_test
+from fmu.posterior.joint.varies.undated import RAMP
+from fmu.posterior.parameters import Parameter, box
+from fmu.posterior.priors.joint import JointPrior
+from fmu.types import FloatArray, IntArray
+
+_CELLS = 4
+"""Number of intervals into which the ramp before a test is divided."""
+_SD = 0.3
+"""Standard deviation of the losses where the tests say nothing, as in the default prior."""
+
+
+class _GivenDate(NamedTuple):
+    """The density of the losses of an event for each interval of its date, and the probability of the interval.
+
+    Attributes
+    ----------
+    weight : ndarray, shape (n, n_intervals)
+        The logarithm of the probability, up to a constant.
+    mean : ndarray, shape (n, n_intervals, n_losses)
+    factor : ndarray, shape (n, n_intervals, n_losses, n_losses)
+        The Cholesky factor of the precision matrix of the losses.
+    """
+
+    weight: FloatArray
+    mean: FloatArray
+    factor: FloatArray
+
+
+class DateOfEvent:
+    """Candidates for the date of a sudden event and its losses.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The parameters of theta.
+    date : int
+        Index in theta of the date.
+    losses, numbers : ndarray of int, shape (n_losses,)
+        Indices in theta of the losses, and of the parameters that have them among the structural parameters.
+    times : ndarray, shape (n_tests,)
+    about : ndarray, shape (n_losses,)
+        Typical losses.
+    """
+
+    def __init__(
+        self,
+        parameters: Sequence[Parameter],
+        date: int,
+        losses: IntArray,
+        numbers: IntArray,
+        times: FloatArray,
+        about: FloatArray,
+    ) -> None:
+        self.date, self.losses, self.numbers, self._about = date, losses, numbers, about
+        distinct, self._time_of = np.unique(times, return_inverse=True)
+        ramps = distinct[1:, None] - RAMP * np.diff(distinct)[:, None] * np.linspace(1.0, 0.0, _CELLS + 1)
+        self._edges = np.append(distinct[0], ramps.ravel())
+        self._middles, self._widths = 0.5 * (self._edges[1:] + self._edges[:-1]), np.diff(self._edges)
+        # of the first test after the date
+        self._share = np.append(1.0, 1.0 - (np.arange(_CELLS) + 0.5) / _CELLS)
+        every = [parameters[k] for k in (date, *losses)]
+        self._prior, self._columns = JointPrior(every), np.append(date, losses)
+        self._low, self._high = box(every)
+
+    def log_prior(self, theta: FloatArray) -> FloatArray:
+        """Return the log-density of the prior of date and losses, (n,), at theta (n, ndim)."""
+        return self._prior.log_pdf(theta[:, self._columns])
+
+    def propose(
+        self, rng: np.random.Generator, given: ScoresGivenMain, theta: FloatArray, scales: FloatArray = REGULAR
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return theta with candidates, and the log-ratio (n,) of the densities of proposing the old and the new.
+
+        Parameters
+        ----------
+        rng : Generator
+        given : ScoresGivenMain
+        theta : ndarray, shape (n, ndim)
+        scales : ndarray, shape (n, n_tests, p), optional
+            The standard deviations of the scores without the data (`Linear`).
+        """
+        known, rows, found = self._given_date(given, theta, scales), np.arange(len(theta)), theta.copy()
+        at = np.argmax(known.weight + rng.gumbel(size=known.weight.shape), axis=1)
+        found[:, self.date] = self._edges[at] + self._widths[at] * rng.random(len(theta))
+        turned, noise = (
+            np.swapaxes(known.factor[rows, at], 1, 2),
+            rng.standard_normal((len(theta), len(self.losses))),
+        )
+        found[:, self.losses] = known.mean[rows, at] + np.linalg.solve(turned, noise[..., None])[..., 0]
+        inside = find_inside(found[:, self._columns], self._low, self._high)[0]
+        ratio = np.where(inside, self._log_density(known, theta) - self._log_density(known, found), -np.inf)
+        return np.where(inside[:, None], found, theta), ratio
+
+    def likeliest(self, given: ScoresGivenMain, theta: FloatArray) -> FloatArray:
+        """Return theta (1, ndim) with the most probable date and losses."""
+        known, found = self._given_date(given, theta, REGULAR), theta.copy()
+        at = int(np.argmax(known.weight[0] - np.log(self._widths)))
+        found[0, self.date] = self._middles[at]
+        found[0, self.losses] = np.clip(known.mean[0, at], self._low[1:], self._high[1:])
+        return found
+
+    def _log_density(self, known: _GivenDate, theta: FloatArray) -> FloatArray:
+        """Return the log-density of candidates, (n,), at theta, up to a constant."""
+        rows, last = np.arange(len(theta)), len(self._widths) - 1
+        at = np.clip(np.searchsorted(self._edges, theta[:, self.date], side="right") - 1, 0, last)
+        factor = known.factor[rows, at]
+        off = np.einsum("nji,nj->ni", factor, theta[:, self.losses] - known.mean[rows, at])
+        scale = np.log(np.einsum("nii->ni", factor)).sum(axis=1) - np.log(self._widths[at])
+        return np.asarray(known.weight[rows, at] + scale - 0.5 * np.einsum("ni,ni->n", off, off))
+
+    def _given_date(self, given: ScoresGivenMain, theta: FloatArray, scales: FloatArray) -> _GivenDate:
+        n_times = len(self._edges) // (_CELLS + 1) + 1
+        before, after = theta.copy(), theta.copy()
+        before[:, self.date], after[:, self.date] = self._high[0], self._low[0]
+        after[:, self.losses] = about = self._about
+        none = sum_by_test(given.log_evidence(given.linearise(before, scales)), self._time_of, n_times)
+        linear, j = given.linearise(after, scales), self.numbers
+        slopes = np.stack([self._by_loss(given, linear.at, k) for k in range(len(j))], axis=2)
+        H = slopes[..., :, None] * given.information_on_values(linear)[:, :, j[:, None], j] * slopes[..., None, :]
+        b = slopes * given.pull_of_values(linear)[:, :, j]
+        c = given.log_evidence(linear) - np.einsum("nti,i->nt", b, about)
+        c = c - 0.5 * np.einsum("ntij,i,j->nt", H, about, about)
+        b = b + np.einsum("ntij,j->nti", H, about)
+        c, b, H = (sum_by_test(one, self._time_of, n_times) for one in (c, b, H))
+        c = c - none  # with the loss relative to without it
+        c, b, H = (self._after(one, power) for power, one in enumerate((c, b, H)))
+        c = c + none.sum(axis=1)[:, None]
+        H = H + np.eye(len(j)) / _SD**2
+        factor = np.linalg.cholesky(H)
+        mean = np.linalg.solve(H, b[..., None])[..., 0]
+        weight = c + 0.5 * np.einsum("nci,nci->nc", mean, b) - np.log(np.einsum("ncii->nci", factor)).sum(axis=2)
+        n, cells = weight.shape
+        at = np.concatenate([np.broadcast_to(self._middles[:, None], (n, cells, 1)), mean], axis=2)
+        at = np.clip(at, self._low, self._high)
+        prior = self._prior.log_pdf(at.reshape(n * cells, -1)).reshape(n, cells)
+        weight = weight + prior + 0.5 * np.einsum("nci,nci->nc", mean, mean) / _SD**2
+        return _GivenDate(weight + np.log(self._widths), mean, factor)
+
+    def _by_loss(self, given: ScoresGivenMain, theta: FloatArray, k: int) -> FloatArray:
+        """Return the derivatives of the values by loss k of the event, (n, n_tests)."""
+        slopes = given.layout.values_of[self.numbers[k]](theta)[1]
+        return next(one.values for one in slopes if one.columns[0] == self.losses[k])
+
+    def _after(self, terms: FloatArray, power: int) -> FloatArray:
+        """Return the sums of the terms (n, n_times, …) after each interval, (n, n_intervals, …).
+
+        A term whose time follows the interval is multiplied by the share of the loss to a power, or by the share
+        where the power is zero.
+        """
+        shape = (-1, *(1,) * (terms.ndim - 2))
+        share = (self._share ** max(power, 1)).reshape(shape)
+        total = np.flip(np.cumsum(np.flip(terms, 1), axis=1), 1)
+        later = np.concatenate([total[:, 2:], np.zeros_like(total[:, :1])], axis=1)
+        found = later[:, :, None] + share * terms[:, 1:, None]
+        return found.reshape(len(terms), -1, *terms.shape[2:])
+
+
+def undated_events(layout: Layout, parameters: Sequence[Parameter], theta: FloatArray) -> tuple[DateOfEvent, ...]:
+    """Return the sudden events at unknown dates, with the losses at theta (ndim,) as the typical ones."""
+    events: dict[int, list[tuple[int, SuddenLoss]]] = {}
+    for j, value_of in enumerate(layout.values_of):
+        if (one := value_of.sudden_loss) is not None:
+            events.setdefault(one.date, []).append((j, one))
+    found = []
+    for date, every in events.items():
+        losses, numbers = np.array([one.loss for _, one in every]), np.array([j for j, _ in every])
+        found.append(DateOfEvent(parameters, date, losses, numbers, every[0][1].times, theta[losses]))
+    return tuple(found)

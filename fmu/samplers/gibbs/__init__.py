@@ -1,0 +1,4 @@
+"""Gibbs sampling of posteriors with populations over several tests.
+
+Reading order: gibbs, main_parameters.
+"""

@@ -1,0 +1,194 @@
+"""Steps of the main parameters of a hierarchical posterior, with the scores integrated out.
+
+The scores move along, so that they keep their distances from the most probable scores in units of their standard
+deviations. One solve of all tests, and the change of the error of the approximation, decide whether a step is
+accepted. See `fmu.samplers.gibbs.gibbs`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.posterior.joint.conditional.both import Conditionals
+from fmu.posterior.joint.conditional.marginal import MarginalOfMain
+from fmu.posterior.joint.conditional.scores import REGULAR, Linear
+from fmu.posterior.problem import UpdatingProblem
+from fmu.samplers.kernel import Index
+from fmu.samplers.local import accept
+from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
+from fmu.types import AnyArray, BoolArray, FloatArray
+
+_LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
+"""Smallest and largest length of a trajectory, in standard deviations. A quarter period is 1.6 if these are right;
+longer trajectories help where the fitted normal distribution is too narrow."""
+_MANY = 150
+"""Number of tests beyond which trajectories are shorter."""
+_JITTER, _MOST_BOUNCES = 0.2, 200
+_SMALLEST = 0.05
+"""Factor on the shortest trajectory."""
+_SHORT = 0.1
+"""Probability that a trajectory is shortened, by a factor between `_SMALLEST` and 1, which moves a chain out of a
+tail."""
+
+
+class _Target(ExactGradient):
+    """Density of the main parameters with the scores integrated out, for one trajectory.
+
+    Parameters
+    ----------
+    marginal : MarginalOfMain
+    theta : ndarray, shape (chains, ndim)
+        Points that give the standard deviations of the errors.
+    scales : ndarray, shape (chains, n_tests, p)
+        Prior standard deviations of the scores.
+
+    Attributes
+    ----------
+    linear : Linear
+        Densities of the scores at the points evaluated last.
+    """
+
+    linear: Linear
+    solves_per_gradient = 0
+
+    def __init__(self, marginal: MarginalOfMain, theta: FloatArray, scales: FloatArray) -> None:
+        self.marginal, self.theta, self.scales = marginal, theta, scales
+        self.lower, self.upper, self.ndim = marginal.lower, marginal.upper, len(marginal.lower)
+
+    def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
+        """Return the log-densities and their gradients; `chain` is explained in `Target.log_prob`."""
+        value, gradient, self.linear = self.marginal.log_prob_and_grad(
+            position, self.theta[chain], REGULAR if self.scales is REGULAR else self.scales[chain]
+        )
+        return value, gradient
+
+
+@dataclass(frozen=True)
+class MovesOfMain:
+    """Steps of the main parameters of a problem with populations.
+
+    Attributes
+    ----------
+    problem : UpdatingProblem
+    conditionals : Conditionals
+    metric : Metric
+        Metric of the trajectories of the main parameters.
+    step_size : ndarray, shape ()
+        Step size of these trajectories.
+    """
+
+    problem: UpdatingProblem
+    conditionals: Conditionals
+    metric: Metric
+    step_size: FloatArray
+
+    @property
+    def _shrink(self) -> float:
+        """Factor on the trajectory length for many tests: the approximation errors of n tests add up as √n."""
+        return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
+
+    def move_main(
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
+    ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
+        """Move the main parameters along a trajectory; return theta, the terms, the densities and the statistics.
+
+        The terms are the log-likelihoods of the data, (chains, n_terms), and the densities are those of the scores
+        at the new theta. The statistics are the acceptance probability in the approximate density, which tunes the
+        step size, and whether the chain has moved.
+        """
+        marginal, given = self.conditionals.marginal, self.conditionals.scores
+        target = _Target(marginal, theta, scales)
+        begun, _ = target.start(marginal.coordinates(theta))
+        first = target.linear
+        n_steps = int(
+            np.clip(np.round(self._shrink * rng.uniform(*_LENGTHS) / float(self.step_size)), 1, _MOST_STEPS)
+        )
+        kernel = HamiltonianKernel(target, self.metric, self.step_size, n_steps, _JITTER, _MOST_BOUNCES)
+        momentum = self.metric.sample_momentum(rng, len(theta))
+        size = np.where(rng.random(len(theta)) < _SHORT, _SMALLEST ** rng.random(len(theta)), 1.0)
+        size = size * (1.0 + _JITTER * rng.uniform(-1, 1, len(theta)))
+        end = kernel.integrate(begun, momentum, self.step_size * size)
+        with np.errstate(over="ignore", invalid="ignore"):
+            gain = end.log_prob - self.metric.kinetic(end.momentum)
+            gain = np.where(end.finished, gain - (begun.log_prob - self.metric.kinetic(momentum)), -np.inf)
+        gain = np.nan_to_num(gain, nan=-np.inf, neginf=-np.inf)
+        moved = marginal.theta_at(np.where(end.finished[:, None], end.position, begun.position), theta)
+        last = target.linear if np.all(end.finished) else given.linearise(moved, scales)
+        theta, terms, last, accepted = self._decide(rng, theta, terms, moved, (first, last), scales, gain)
+        statistics: dict[str, AnyArray] = {
+            "main_acceptance": np.exp(np.minimum(gain, 0.0)),
+            "main_accepted": accepted,
+        }
+        return theta, terms, last, statistics
+
+    def move_dates(
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
+    ) -> tuple[FloatArray, FloatArray, dict[str, AnyArray]]:
+        """Return theta and terms after candidates for the dates and losses of sudden events, with statistics."""
+        given, shares = self.conditionals.scores, []
+        for event in self.conditionals.events:
+            moved, gain = event.propose(rng, given, theta, scales)
+            both = given.linearise(theta, scales), given.linearise(moved, scales)
+            now, new = (
+                given.log_evidence(one).sum(axis=1) + event.log_prior(at)
+                for one, at in zip(both, (theta, moved), strict=True)
+            )
+            theta, terms, _, accepted = self._decide(rng, theta, terms, moved, both, scales, gain + new - now)
+            shares.append(accepted)
+        return theta, terms, {"dates_accepted": np.mean(shares, axis=0)} if shares else {}
+
+    def _decide(
+        self,
+        rng: np.random.Generator,
+        theta: FloatArray,
+        terms: FloatArray,
+        moved: FloatArray,
+        linear: tuple[Linear, Linear],
+        scales: FloatArray,
+        gain: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, Linear, BoolArray]:
+        """Accept or reject the main parameters of `moved`, (chains, ndim), after a solve of all tests.
+
+        The scores move along.
+
+        Parameters
+        ----------
+        linear : tuple of Linear
+            The densities of the scores at theta and at `moved`.
+        gain : ndarray, shape (chains,)
+            The log-ratio by which `moved` is accepted in the approximate density.
+
+        Returns
+        -------
+        theta, terms : ndarray
+        last : Linear
+            The densities of the scores there.
+        accepted : ndarray of bool, shape (chains,)
+        """
+        given = self.conditionals.scores
+        before, after = (given.normal_of(one) for one in linear)
+        candidate = given.scores.put(moved, after.restore(before.standardise(given.scores.take(theta))))
+        new_terms = self.terms_at(candidate)
+        error = [
+            given.log_prior(at, scales) - one.log_det_factor - given.log_evidence(one)
+            for at, one in zip((theta, candidate), linear, strict=True)
+        ]
+        in_time = self.problem.layout.in_time
+        if in_time is not None:
+            now, new = (in_time.log_density(at, given.scores.take(at))[0] for at in (theta, candidate))
+            error[1] = error[1] + new - now
+        with np.errstate(invalid="ignore"):
+            ratio = gain + (new_terms - terms).sum(axis=1) + (error[1] - error[0]).sum(axis=1)
+        accepted = accept(rng, ratio)
+        chosen, last = accepted[:, None], linear[1].select(accepted, linear[0])
+        return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, accepted
+
+    def terms_at(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standardised scores."""
+        layout = self.conditionals.scores.layout
+        terms = self.problem.likelihood.terms(layout.of_model(theta))
+        if np.count_nonzero(np.isfinite(terms)) == terms.size:
+            return terms
+        return self.problem.terms_of_tests(self.problem.layout.restore_scores(theta))  # records the failures
