@@ -89,9 +89,9 @@ def sample(
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`). If `problem` is not an `UpdatingProblem`, has a prior and does
-        not have several maxima, the chains then start at draws from the prior. ``"prior"``: at draws from the
-        prior. ``"start"``: at ``problem.start``. An array: at these points, in SI units.
+        probability (`fmu.analysis.maxima.starts`). But for a density other than an `UpdatingProblem`, unless it
+        has several maxima, they start at draws from its prior if it has one. ``"prior"``: at draws from the prior.
+        ``"start"``: at ``problem.start``. An array: at these points, in SI units.
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
         that is fitted to the posterior in warm-up. Chains then cross between separated maxima

@@ -173,13 +173,16 @@ class SimulatedTests:
     def cases(self) -> pd.DataFrame:
         """Return a table of the planned tests in which a parameter's ratio is outside 0.7 to 1.4, worst first.
 
-        The columns are ``test`` (from 1), ``parameter`` and ``ratio``; the three factors of the ratio, described
-        below; ``at_bounds``, the share of draws close to a bound; ``skewness``; ``crossed``, the share of draws
-        with modes in another order; and ``reason``.
+        The columns are:
 
-        The first factor, ``true values``, is the standard deviation linearised at the true parameters relative to
-        the expected one. ``noise`` is the one linearised at the posterior mean relative to the former. ``shape``
-        is the real one relative to the latter.
+        - ``test`` (from 1), ``parameter`` and ``ratio``;
+        - ``true values``, ``noise`` and ``shape``: the factors of the ratio. They are the standard deviation
+          linearised at the true parameters relative to the expected one, the one linearised at the posterior mean
+          relative to that at the true parameters, and the real one relative to that at the posterior mean;
+        - ``at_bounds``: share of draws close to a bound;
+        - ``skewness``;
+        - ``crossed``: share of draws with modes in another order;
+        - ``reason``.
         """
         ratios, updates = self.ratios(), self.updates[PLANNED]
         off = np.argwhere((ratios < AGREES[0]) | (ratios > AGREES[1]) | np.isnan(ratios))
