@@ -85,7 +85,7 @@ def _length(request, monkeypatch):
     sample = fmu.sample
 
     def shortened(*given, draws=1000, warmup=1000, chains=2, **options):
-        return sample(*given, draws=min(draws, 80), warmup=min(warmup, 60), chains=chains, **options)
+        return sample(*given, draws=min(draws, 50), warmup=min(warmup, 40), chains=chains, **options)
 
     if request.param:
         monkeypatch.setattr(fmu, "sample", shortened)

@@ -117,6 +117,22 @@ def test_gradient_of_everything_at_once(building, distribution, noise):
     assert_gradient(gradients, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-5, of_largest=1e-6)
 
 
+def test_sensitivities_of_residuals_have_the_covariates_of_their_tests(building):
+    given = (("a", 4.0, (2e6, 2e6)), ("b", 7.0, (2.2e6, 1.9e6)), ("c", 22.0, (1.9e6, 2.1e6)))
+    tests = [fmu.Test(name, measured(k), covariates={"temperature": T}) for name, T, k in given]
+    slopes = {"k1": {"temperature": fmu.Normal(0.005)}}
+    problem = fmu.JointProblem(
+        building, tests, [K1, K2], varies={"k2": "test"}, slopes=slopes, pairing="index", reduction=False
+    )
+
+    def residuals(theta):
+        return problem.likelihood.residuals_and_slopes(problem.layout.of_model(theta))[0]
+
+    theta = problem.sample_prior(np.random.default_rng(3), 2)
+    step = 1e-4 * problem.scale
+    assert_gradient(problem.sensitivity(theta), residuals, theta, step, order=4, of_largest=1e-8)
+
+
 def test_log_prob_of_a_batch_is_that_of_each_point(building):
     tests = [fmu.Test(f"t{t}", measured((2e6 * (1 + 0.03 * t), 2e6))) for t in range(4)]
     problem = fmu.JointProblem(building, tests, [K1, K2], varies={"k1": fmu.Population()}, pairing="index")
