@@ -1,5 +1,6 @@
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
     b = next(i for i, block in enumerate(blocks) if isinstance(block, ReducedBlock))
     blocks[b] = blocks[b].truncate(7)
     poor = BlockModel(tuple(blocks), problem.ndim)
-    monkeypatch.setattr(problem.model.cheap, "solve", problem.model.pairing.bind(poor))
+    monkeypatch.setattr(problem.model.cheap, "solve", partial(problem.model.pairing.solve, poor))
     with pytest.warns(CertificateWarning, match="outside its tolerance"):
         certificate = certify(trace, problem)
     assert certificate.frequency_error > 1e-6
@@ -105,7 +106,7 @@ def test_a_looser_promise_is_kept_where_a_stricter_one_is_not(trace, problem, mo
 def test_a_wrong_rank_is_found_out(trace, problem, monkeypatch):
     rank = problem.model.pairing
     swapped = type(rank)(rank.block, (0, 1, 2, 4, 3))
-    monkeypatch.setattr(problem.model.cheap, "solve", swapped.bind(problem.model.cheap.blocks))
+    monkeypatch.setattr(problem.model.cheap, "solve", partial(swapped.solve, problem.model.cheap.blocks))
     with pytest.warns(CertificateWarning):
         assert certify(trace, problem).pairing_changes == 16
 
@@ -137,6 +138,6 @@ def test_every_configuration_of_several_tests_is_certified(problem, monkeypatch)
     loaded = joint.model.parts[1]
     blocks = (b.truncate(b.size // 2) if isinstance(b, ReducedBlock) else b for b in loaded.cheap.blocks)
     poor = BlockModel(tuple(blocks), loaded.n_parameters)
-    monkeypatch.setattr(loaded.cheap, "solve", loaded.pairing.bind(poor))
+    monkeypatch.setattr(loaded.cheap, "solve", partial(loaded.pairing.solve, poor))
     with pytest.warns(CertificateWarning, match="outside its tolerance"):
         certify(trace, joint)

@@ -22,11 +22,11 @@ class ByAssignment:
 
     def __init__(self, structure):
         self.n_parameters, self.n_modes = structure.n_parameters, structure.n_modes
-        self._solve = structure.rule.bind(structure.cheap.blocks)
+        self._structure = structure
 
     def frequencies(self, theta):
         with single_thread():
-            return frequency_hz(self._solve(theta).eigenvalues)
+            return frequency_hz(self._structure.rule.solve(self._structure.cheap.blocks, theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta):
         raise NotImplementedError

@@ -3,6 +3,7 @@
 import os
 import resource
 import time
+from functools import partial
 
 import numpy as np
 
@@ -70,5 +71,5 @@ def beam_of_size(size):
     full, trained = problem.model.truth.blocks[b], problem.model.cheap.blocks[b].n_trained
     blown_up = ReducedBlock(full, full.modes(problem.start[None], size)[1][0], trained)
     blocks = tuple(blown_up if i == b else other for i, other in enumerate(problem.model.cheap.blocks))
-    problem.model.cheap.solve = problem.model.pairing.bind(BlockModel(blocks, 8))
+    problem.model.cheap.solve = partial(problem.model.pairing.solve, BlockModel(blocks, 8))
     return problem

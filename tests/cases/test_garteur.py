@@ -13,7 +13,7 @@ from fmu.analysis.start.initial_modes import initial_modes
 from fmu.analysis.uninformed import left_to_prior
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame.components import DIRECTIONS
-from fmu.fem.pairing.rules import count_rigid
+from fmu.fem.pairing.reference_modes import count_rigid
 from fmu.posterior.maxima import local_maxima
 
 MEASURED = [6.38, 16.10, 33.13, 33.53, 35.65, 48.38, 49.43, 55.08, 63.04, 66.50]

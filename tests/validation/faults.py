@@ -634,8 +634,8 @@ IN_THE_STRUCTURE = (
     Fault(
         "pairing by number: off by one",
         "fmu/fem/pairing/rules.py",
-        "gradient).columns(np.array(numbers) - 1)",
-        "gradient).columns(np.maximum(np.array(numbers) - 2, 0))",
+        "gradient).columns(np.array(self.numbers) - 1)",
+        "gradient).columns(np.maximum(np.array(self.numbers) - 2, 0))",
         ("tests/fem/pairing/test_pairing.py",),
     ),
     Fault(

@@ -267,7 +267,7 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution,
 def _find_seen(
     model: PairedStructure, shapes: FloatArray, observation: csr_array | None, eigenvalues: FloatArray
 ) -> BoolArray:
-    """Return whether each mode moves a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
+    """Return whether each mode moves a sensor, by `reference_modes`."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)
     elastic = ~is_rigid(eigenvalues)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -13,8 +12,8 @@ from fmu.fem.modes.solver import Matrix
 from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray, IntArray
 
-Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
-"""The map from a block's shapes to the coordinates of comparison, and the reference shapes there."""
+Observation = tuple[Matrix, FloatArray]
+"""Rows of the coordinates of comparison on a block's unknowns, and the reference shapes at these coordinates."""
 Solved = dict[int, tuple[FloatArray, FloatArray]]
 """Eigenvalues and shapes by index of the block."""
 
@@ -234,7 +233,7 @@ class Block:
         return rows, reference
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return the map from shapes (n, size, m) to the coordinates of comparison, and the references there.
+        """Return rows of the coordinates of comparison on the block's unknowns, and the references there.
 
         Parameters
         ----------
@@ -243,7 +242,7 @@ class Block:
         reference : ndarray, shape (q, n_modes)
             Reference shapes at the coordinates of comparison.
         """
-        raise NotImplementedError
+        return self.compress_rows(self.coordinates(rows), reference)
 
     def n_required(self, count: int, gradient: bool) -> int:
         """Return the number of modes that `seen` needs for `count` modes, with derivatives if `gradient`."""
@@ -270,15 +269,11 @@ class Block:
             Result of `modes` for `n_required` modes or more, if available.
         """
         lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
-        seen = BlockPrediction(lam[:, :count], self.at(rows, phi[:, :, :count]))
+        seen = BlockPrediction(lam[:, :count], shapes_at(rows, phi[:, :, :count]))
         if not gradient:
             return seen
         lam_slopes, shape_slopes = self._slopes_seen(theta, count, rows, lam, phi)
         return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
-
-    def at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
-        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
-        raise NotImplementedError
 
     def _slopes_seen(
         self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
@@ -287,23 +282,9 @@ class Block:
         raise NotImplementedError
 
 
-@dataclass(frozen=True, eq=False)
-class Picked:
-    """A map from shapes (n, size, m) to some of their degrees of freedom (q,), for use in other processes."""
-
-    dofs: IntArray
-
-    def __call__(self, phi: FloatArray) -> FloatArray:
-        """Return the shapes at these degrees of freedom, (n, q, m)."""
-        return phi[:, self.dofs]
-
-
-@dataclass(frozen=True, eq=False)
-class Mapped:
-    """A map of shapes (n, size, m) by a matrix (q, size), for use in other processes."""
-
-    matrix: FloatArray
-
-    def __call__(self, phi: FloatArray) -> FloatArray:
-        """Return the product of the matrix and the shapes, (n, q, m)."""
-        return self.matrix @ phi
+def shapes_at(rows: Matrix, phi: FloatArray) -> FloatArray:
+    """Return shapes (n, size, m) at sensors, (n, n_sensors, m), for sensor rows (n_sensors, size)."""
+    if not sp.issparse(rows):
+        return np.asarray(rows @ phi)
+    # a sparse matrix multiplies the shapes of one theta at a time
+    return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))

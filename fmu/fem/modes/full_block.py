@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.engines.base import Engine, Work
-from fmu.fem.modes.block import Block, Mapped, Observation, Picked
+from fmu.fem.modes.block import Block
 from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank
 from fmu.fem.modes.modal import BlockModel, single_thread
@@ -261,11 +261,6 @@ class FullBlock(Block):
             self._constant_rank = rank(M)
         return self._constant_rank
 
-    def at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
-        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
-        # a sparse matrix multiplies the shapes of one theta at a time
-        return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))
-
     def _slopes_seen(
         self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -282,12 +277,6 @@ class FullBlock(Block):
                 slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
                 shape_slopes[i, :, k] = rows @ slope
         return lam_slopes, shape_slopes
-
-    def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return the map from shapes (n, size, m) to the coordinates `rows`, and the unchanged reference."""
-        if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
-            return Picked(rows.indices), reference
-        return Mapped(rows.toarray()), reference
 
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
         left = phi if left is None else left

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from fmu.fem.modes.block import Block, Solved
+from fmu.fem.modes.block import Block
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # An eigenvalue this small relative to the highest of interest belongs to a rigid-body mode. If K is singular to
@@ -200,58 +200,6 @@ class BlockModel[Part: Block]:
             _, phi = self.blocks[b].modes(theta, (counts or {}).get(int(b), int(rank[columns].max()) + 1))
             shapes[np.ix_(self.blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
         return fix_sign(shapes)
-
-
-class FixedModes:
-    """Solver for fixed modes of fixed blocks; everything that does not depend on theta is prepared once.
-
-    Parameters
-    ----------
-    model : BlockModel
-    block, rank : sequence of int
-        For each mode, the index of its block and its index (from 0) within that block.
-    """
-
-    def __init__(self, model: BlockModel, block: Sequence[int], rank: Sequence[int]) -> None:
-        # as rows (1, m), to be repeated for each theta
-        self._labels = np.array(block)[None], np.array(rank)[None]
-        self._parts: list[tuple[Block, int, slice | IntArray]] = []
-        columns = []
-        for b in np.unique(block):
-            columns.append(np.flatnonzero(self._labels[0][0] == b))
-            ranks = self._labels[1][0, columns[-1]]
-            self._parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
-        self._order = np.argsort(np.concatenate(columns))
-
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return these modes at theta (n, n_parameters); gradients are optional and cost more."""
-        values, slopes = [], []
-        for block, count, ranks in self._parts:
-            if gradient:
-                lam, phi = block.modes(theta, count)
-                slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
-            else:
-                lam = block.eigenvalues(theta, count)
-            values.append(lam[:, ranks])
-        owner, rank, _ = self.locate(theta)
-        return ModalSolution(
-            self._join_columns(values), self._join_columns(slopes) if gradient else None, owner, rank
-        )
-
-    def locate(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m), and an empty dict."""
-        block, rank = self._labels
-        return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
-
-    def _join_columns(self, parts: list[FloatArray]) -> FloatArray:
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]
-
-
-def _as_slice(indices: IntArray) -> slice | IntArray:
-    """Return consecutive indices as a slice, which NumPy takes without copying, other indices unchanged."""
-    first = int(indices[0])
-    consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
-    return slice(first, first + len(indices)) if consecutive else indices
 
 
 class _OneThread:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from copy import copy
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.fem.modes.block import Observation
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock, full_model
 from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel, selection
-from fmu.fem.modes.solver import LAPACK, sparse_solver
+from fmu.fem.modes.solver import LAPACK, Matrix, sparse_solver
 from fmu.fem.pairing.modal_model import ModalModel
-from fmu.fem.pairing.prediction import Candidates, CandidateView, ModalPrediction, SensorView
+from fmu.fem.pairing.prediction import Candidates, ModalPrediction, predict_candidates, predict_modes
+from fmu.fem.pairing.reference_modes import count_rigid, reference_modes
 from fmu.fem.pairing.rules import (
     SOFTNESS,
     SPARE,
@@ -23,8 +26,6 @@ from fmu.fem.pairing.rules import (
     RankPairing,
     ShapePairing,
     SoftPairing,
-    count_rigid,
-    reference_modes,
 )
 from fmu.fem.pairing.sensitivities import Sensitivities, Steps, StructureSensitivities
 from fmu.progress.phases import count_solves
@@ -54,12 +55,6 @@ class PairedStructure(ModalModel):
 
     Attributes
     ----------
-    solve : callable
-        ``solve(theta, gradient=False)`` returns the paired modes (`ModalSolution`).
-    see : SensorView
-        ``see(theta, gradient=False)`` returns frequencies and shapes at the sensors.
-    choose : CandidateView or None
-        ``choose(theta, gradient=False)`` returns all candidate modes, for a pairing by shape; otherwise None.
     softness : float
         Temperature of the weights of a soft pairing, otherwise 0.
     sensors : tuple of (node, direction)
@@ -89,9 +84,11 @@ class PairedStructure(ModalModel):
         self.why_full = ""
         self.sensors: tuple[Dof, ...] = ()
         self._sensors, self._at_sensors = sensors, at_sensors
-        self.solve = self.pairing.bind(blocks)
-        self.see = SensorView(blocks, self.solve, sensors)
-        self.choose = CandidateView(blocks, rule, at_sensors) if rule.by_shape else None
+        self._observed = self.pairing.observe(blocks)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state for pickling, without data that are recomputed on demand."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("rows", "_compared")}
 
     @classmethod
     def of(
@@ -201,6 +198,40 @@ class PairedStructure(ModalModel):
         )
         return other
 
+    @cached_property
+    def rows(self) -> list[Matrix]:
+        """List of the sensor rows of each block, computed on demand: many problems have no errors of shapes."""
+        return [block.coordinates(self._sensors[:, block.dofs]) for block in self.blocks]
+
+    @cached_property
+    def _compared(self) -> dict[int, Observation]:
+        """The coordinates of comparison of each block, and the references there, for a pairing by shape.
+
+        Shapes are compared at the sensors or, where none were measured, in a basis of all shapes that a reduced
+        block can have.
+        """
+        assert self.rule.by_shape  # for the type checker
+        found = {}
+        for b in self.rule.observe(self.blocks):
+            block, reference = self.blocks[b], self.rule.shapes
+            rows = block.coordinates(self.rule.rows[:, block.dofs])
+            found[b] = (rows, reference) if self._at_sensors else block.compress_rows(rows, reference)
+        return found
+
+    def solve(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
+        """Return `modes` without a count of the solves, on the present number of threads."""
+        return self.pairing.solve(self.blocks, theta, gradient, self._observed)
+
+    def see(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return `observed` without a count of the solves, on the present number of threads."""
+        located = self.pairing.locate(self.blocks, theta, gradient, self._observed)
+        return predict_modes(self.blocks, located, self.rows, theta, gradient)
+
+    def choose(self, theta: FloatArray, gradient: bool = False) -> Candidates:
+        """Return `seen_candidates` without a count of the solves, on the present number of threads."""
+        assert self.rule.by_shape  # for the type checker
+        return predict_candidates(self.blocks, self.rule, self._compared, self._at_sensors, theta, gradient)
+
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with eigenvalue gradients if `gradient`."""
         return _solve_counted(self.solve, theta, gradient)
@@ -214,7 +245,6 @@ class PairedStructure(ModalModel):
 
         The candidates have derivatives if `gradient`. The pairing must be by shape, soft or not.
         """
-        assert self.choose is not None  # for the type checker: the pairing is by shape
         return _solve_counted(self.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -233,8 +263,9 @@ class PairedStructure(ModalModel):
 
     def solve_sensitivities(self, theta: FloatArray, shapes: bool) -> Sensitivities:
         """Return `sensitivities` without a count of the solves, on the present number of threads."""
-        counts, sensors = self.pairing.counts(self.blocks), self.see.rows if shapes else None
-        return StructureSensitivities(self.blocks, self.solve, counts, theta, sensors)
+        located = self.pairing.locate(self.blocks, theta, True, self._observed)
+        counts, sensors = self.pairing.counts(self.blocks), self.rows if shapes else None
+        return StructureSensitivities(self.blocks, located, counts, theta, sensors)
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return the eigenvalues of all candidate modes, and of one more mode per block.

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 
-from fmu.fem.modes.block import Block, BlockPrediction
+from fmu.fem.modes.block import BlockPrediction, Observation, Solved
 from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
 from fmu.fem.modes.solver import Matrix
-from fmu.fem.pairing.rules import PairedSolve, ShapePairing
-from fmu.types import BoolArray, FloatArray
+from fmu.fem.pairing.rules import ShapePairing
+from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -104,135 +102,112 @@ def join_batches[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
     return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
 
 
-class SensorView:
-    """The paired modes of a model, full or reduced, as seen by its sensors.
+def predict_modes(
+    model: BlockModel,
+    located: tuple[IntArray, IntArray, Solved],
+    rows: Sequence[Matrix],
+    theta: FloatArray,
+    gradient: bool,
+) -> ModalPrediction:
+    """Return the paired modes of a model, full or reduced, as seen by its sensors, with derivatives if `gradient`.
 
     Parameters
     ----------
     model : BlockModel
-    solve : PairedSolve
-        The pairing bound to the model.
-    sensors : scipy.sparse.csr_array, shape (n_sensors, n_dof)
-        From `fmu.fem.modes.separable.SeparableModel.observation`.
+    located : tuple
+        The result of `fmu.fem.pairing.rules.Pairing.locate` at theta.
+    rows : sequence of array or sparse, each of shape (n_sensors, size)
+        The sensor rows of each block, from `Block.coordinates`.
+    theta : ndarray, shape (n, n_parameters)
+    gradient : bool
     """
-
-    def __init__(self, model: BlockModel, solve: PairedSolve, sensors: sp.csr_array) -> None:
-        self.model, self._solve, self._sensors = model, solve, sensors
-
-    def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without data that are recomputed on demand."""
-        return {name: value for name, value in self.__dict__.items() if name != "rows"}
-
-    @cached_property
-    def rows(self) -> list[Matrix]:
-        """List of the sensor rows of each block, computed on demand: many problems have no errors of shapes."""
-        return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
-
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
-        block, rank, solved = self._solve.locate(theta, gradient)
-        n, m = block.shape
-        q, p = self._sensors.shape[0], self.model.n_parameters
-        seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, q, m), np.nan))
+    block, rank, solved = located
+    n, m = block.shape
+    q, p = rows[0].shape[0], model.n_parameters
+    seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, q, m), np.nan))
+    if gradient:
+        seen = seen._replace(
+            eigenvalue_slopes=np.full((n, m, p), np.nan), shape_slopes=np.full((n, q, m, p), np.nan)
+        )
+    for b in np.unique(block[block >= 0]):
+        row, column = np.nonzero(block == b)
+        ranks = rank[row, column]
+        count = int(ranks.max()) + 1
+        found = model.blocks[b].seen(theta, count, rows[b], gradient, solved.get(int(b)))
+        seen.eigenvalues[row, column] = found.eigenvalues[row, ranks]
+        seen.shapes[row, :, column] = found.shapes[row, :, ranks]
         if gradient:
-            seen = seen._replace(
-                eigenvalue_slopes=np.full((n, m, p), np.nan), shape_slopes=np.full((n, q, m, p), np.nan)
-            )
-        for b in np.unique(block[block >= 0]):
-            row, column = np.nonzero(block == b)
-            ranks = rank[row, column]
-            count = int(ranks.max()) + 1
-            found = self.model.blocks[b].seen(theta, count, self.rows[b], gradient, solved.get(int(b)))
-            seen.eigenvalues[row, column] = found.eigenvalues[row, ranks]
-            seen.shapes[row, :, column] = found.shapes[row, :, ranks]
-            if gradient:
-                seen.eigenvalue_slopes[row, column] = found.eigenvalue_slopes[row, ranks]  # type: ignore[index]
-                seen.shape_slopes[row, :, column] = found.shape_slopes[row, :, ranks]  # type: ignore[index]
-        frequencies = frequency_hz(seen.eigenvalues)
-        if seen.eigenvalue_slopes is None:
-            return ModalPrediction(frequencies, seen.shapes)
-        slopes_hz = frequency_gradient(frequencies, seen.eigenvalue_slopes)
-        return ModalPrediction(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
+            seen.eigenvalue_slopes[row, column] = found.eigenvalue_slopes[row, ranks]  # type: ignore[index]
+            seen.shape_slopes[row, :, column] = found.shape_slopes[row, :, ranks]  # type: ignore[index]
+    frequencies = frequency_hz(seen.eigenvalues)
+    if seen.eigenvalue_slopes is None:
+        return ModalPrediction(frequencies, seen.shapes)
+    slopes_hz = frequency_gradient(frequencies, seen.eigenvalue_slopes)
+    return ModalPrediction(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
 
 
-class _View(NamedTuple):
-    """A block, its number of candidates, the coordinates of comparison, and the reference shapes there."""
-
-    block: Block
-    n_candidates: int
-    rows: Matrix
-    reference: FloatArray
-
-
-class CandidateView:
-    """All modes of a model, full or reduced, that are candidates for a pairing.
+def predict_candidates(
+    model: BlockModel,
+    rule: ShapePairing,
+    compared: Mapping[int, Observation],
+    at_sensors: bool,
+    theta: FloatArray,
+    gradient: bool,
+) -> Candidates:
+    """Return all modes of a model, full or reduced, that are candidates for a pairing.
 
     Parameters
     ----------
     model : BlockModel
     rule : ShapePairing
+    compared : mapping of int to Observation
+        The coordinates of comparison of each block, and the references there.
     at_sensors : bool
-        Whether the rule compares shapes at the sensors, so that the shapes there are needed in addition to their
-        MAC. Otherwise a reduced block is compared in a basis of all shapes that the block can represent.
+        Whether these coordinates are the sensors, so that the shapes there are needed in addition to their MAC.
+    theta : ndarray, shape (n, n_parameters)
+    gradient : bool
+        Whether derivatives are needed.
     """
-
-    def __init__(self, model: BlockModel, rule: ShapePairing, at_sensors: bool) -> None:
-        self._model, self._rule, self._at_sensors = model, rule, at_sensors
-        self._reference_size = np.sum(rule.shapes**2, axis=0)
-
-    def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without data that are recomputed on demand."""
-        return {name: value for name, value in self.__dict__.items() if name != "_views"}
-
-    @cached_property
-    def _views(self) -> list[_View]:
-        views = []
-        for b in self._rule.observe(self._model):
-            block = self._model.blocks[b]
-            rows, reference = block.coordinates(self._rule.rows[:, block.dofs]), self._rule.shapes
-            if not self._at_sensors:
-                rows, reference = block.compress_rows(rows, reference)
-            views.append(_View(block, self._rule.n_candidates(self._model, b), rows, reference))
-        return views
-
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return the candidates at theta (n, n_parameters), with derivatives if `gradient`."""
-        parts = [self._of_block(view, theta, gradient) for view in self._views]
-        names = [field.name for field in fields(Candidates)][: None if gradient else 3]
-        # the candidates are on the second axis of frequencies and their slopes, on the third axis of all others
-        axes = {"frequencies": 1, "frequency_slopes": 1}
-        return Candidates(
-            **{name: np.concatenate([vars(p)[name] for p in parts], axis=axes.get(name, 2)) for name in names}
-        )
-
-    def _of_block(self, view: _View, theta: FloatArray, gradient: bool) -> Candidates:
-        seen = view.block.seen(theta, view.n_candidates, view.rows, gradient)
-        kept = slice(None) if self._at_sensors else slice(0)
+    reference_size = np.sum(rule.shapes**2, axis=0)
+    kept = slice(None) if at_sensors else slice(0)
+    parts = []
+    for b, (rows, reference) in compared.items():
+        seen = model.blocks[b].seen(theta, rule.n_candidates(model, b), rows, gradient)
         f = frequency_hz(seen.eigenvalues)
-        mac, mac_slopes = self._alike(view, seen)
-        if seen.eigenvalue_slopes is None or seen.shape_slopes is None:
-            return Candidates(f, seen.shapes[:, kept], mac)
-        slopes = frequency_gradient(f, seen.eigenvalue_slopes)
-        return Candidates(f, seen.shapes[:, kept], mac, slopes, seen.shape_slopes[:, kept], mac_slopes)
+        mac, mac_slopes = _compare(reference, reference_size, seen)
+        part = Candidates(f, seen.shapes[:, kept], mac)
+        if seen.eigenvalue_slopes is not None and seen.shape_slopes is not None:
+            slopes = frequency_gradient(f, seen.eigenvalue_slopes)
+            part = Candidates(f, part.shapes, mac, slopes, seen.shape_slopes[:, kept], mac_slopes)
+        parts.append(part)
+    names = [field.name for field in fields(Candidates)][: None if gradient else 3]
+    # the candidates are on the second axis of frequencies and their slopes, on the third axis of all others
+    axes = {"frequencies": 1, "frequency_slopes": 1}
+    return Candidates(
+        **{name: np.concatenate([vars(p)[name] for p in parts], axis=axes.get(name, 2)) for name in names}
+    )
 
-    def _alike(self, view: _View, seen: BlockPrediction) -> tuple[FloatArray, FloatArray | None]:
-        """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), with slopes if shapes have slopes.
 
-        With c = ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
-        """
-        phi, psi = np.ascontiguousarray(seen.shapes), view.reference
-        length = np.sum(phi**2, axis=1)
-        unseen = (length <= UNSEEN * np.max(length, axis=1, keepdims=True))[:, None]
-        length = np.where(unseen[:, 0], 1.0, length)[:, None]
-        cross = psi.T @ phi
-        scale = self._reference_size[:, None] * length
-        mac = cross**2 / scale
-        alike = np.where(unseen, -np.inf, mac)
-        if seen.shape_slopes is None:
-            return alike, None
-        n, q, k, p = seen.shape_slopes.shape
-        d_phi = np.ascontiguousarray(seen.shape_slopes)
-        d_cross = (psi.T @ d_phi.reshape(n, q, k * p)).reshape(n, -1, k, p)
-        half_d_length = np.sum(phi[..., None] * d_phi, axis=1)[:, None]
-        slopes = 2.0 * (cross / scale)[..., None] * d_cross - 2.0 * (mac / length)[..., None] * half_d_length
-        return alike, np.where(unseen[..., None], 0.0, slopes)
+def _compare(
+    psi: FloatArray, reference_size: FloatArray, seen: BlockPrediction
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), with slopes if shapes have slopes.
+
+    With c = ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
+    """
+    phi = np.ascontiguousarray(seen.shapes)
+    length = np.sum(phi**2, axis=1)
+    unseen = (length <= UNSEEN * np.max(length, axis=1, keepdims=True))[:, None]
+    length = np.where(unseen[:, 0], 1.0, length)[:, None]
+    cross = psi.T @ phi
+    scale = reference_size[:, None] * length
+    mac = cross**2 / scale
+    alike = np.where(unseen, -np.inf, mac)
+    if seen.shape_slopes is None:
+        return alike, None
+    n, q, k, p = seen.shape_slopes.shape
+    d_phi = np.ascontiguousarray(seen.shape_slopes)
+    d_cross = (psi.T @ d_phi.reshape(n, q, k * p)).reshape(n, -1, k, p)
+    half_d_length = np.sum(phi[..., None] * d_phi, axis=1)[:, None]
+    slopes = 2.0 * (cross / scale)[..., None] * d_cross - 2.0 * (mac / length)[..., None] * half_d_length
+    return alike, np.where(unseen[..., None], 0.0, slopes)

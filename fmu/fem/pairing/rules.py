@@ -8,63 +8,143 @@ be constant, each mode has a fixed rank within its block, and eigenvalues suffic
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Protocol
+from functools import cached_property
+from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.block import Observation, Solved
-from fmu.fem.modes.modal import BlockModel, FixedModes, ModalSolution, is_rigid
+from fmu.fem.modes.block import Observation, Solved, shapes_at
+from fmu.fem.modes.modal import BlockModel, ModalSolution
 from fmu.types import FloatArray, IntArray
 
 SPARE = 3
 """Number of modes beyond the highest reference of a block that may be candidates."""
 SOFTNESS = 0.02
 """Temperature τ of the weights exp(MAC/τ): a shape with MAC 0 costs 1/τ = 50 nats."""
-_FAR_BELOW = 1e-3
-"""Share of the lowest measured frequency below which a mode is a rigid-body mode."""
 AT_ONCE = 16
 """Number of points whose shapes are compared at once, which limits the memory."""
+Observed = Mapping[int, Observation] | None
+"""What the sensors see of each block whose shapes are compared, if it is known."""
 
 
-class PairedSolve(Protocol):
-    """A pairing bound to a model, which solves at theta (n, n_parameters) and returns the paired modes."""
+class Pairing(ABC):
+    """A rule that says which modes of a model are paired with the measured modes, and solves for them.
 
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
-        ...
+    Attributes
+    ----------
+    is_constant : bool
+        Whether the pairing is the same at every theta.
+    """
 
-    def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+    is_constant: ClassVar[bool] = False
+
+    def observe(self, model: BlockModel) -> dict[int, Observation]:
+        """Return a dict from each block whose shapes are compared to its `Observation`; empty without shapes."""
+        return {}
+
+    @abstractmethod
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
+
+    @abstractmethod
+    def solve(
+        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+    ) -> ModalSolution:
+        """Return the paired modes at theta (n, n_parameters), with eigenvalue gradients if `gradient`.
+
+        `observed` is the result of `observe`, if it is known.
+        """
+
+    @abstractmethod
+    def locate(
+        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+    ) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved for.
 
         Block and rank are −1 in rows where a solve failed. With `gradient`, as many modes are solved for as
         `Block.seen` needs for derivatives.
         """
-        ...
 
 
 @dataclass(frozen=True)
-class RankPairing:
+class RankPairing(Pairing):
     """Pairing of measured mode i with mode ``rank[i]`` (from 0) of block ``block[i]``, at every theta."""
 
     block: tuple[int, ...]
     rank: tuple[int, ...]
     is_constant: ClassVar[bool] = True
 
-    def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver of these blocks only, which solves for shapes only if gradients are requested."""
-        return FixedModes(model, self.block, self.rank)
-
     def counts(self, model: BlockModel) -> dict[int, int]:
         """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
 
+    @cached_property
+    def _labels(self) -> tuple[IntArray, IntArray]:
+        """Blocks and ranks as rows (1, n_modes), to be repeated for each theta."""
+        return np.array(self.block)[None], np.array(self.rank)[None]
+
+    @cached_property
+    def _columns(self) -> list[IntArray]:
+        """The measured modes of each block, by ascending index of the block."""
+        return [np.flatnonzero(self._labels[0][0] == b) for b in np.unique(self.block)]
+
+    @cached_property
+    def _parts(self) -> list[tuple[int, int, slice | IntArray]]:
+        """For each block its index, the number of its modes to solve for, and the ranks of the paired modes."""
+        parts: list[tuple[int, int, slice | IntArray]] = []
+        for columns in self._columns:
+            ranks = self._labels[1][0, columns]
+            parts.append((self.block[columns[0]], int(ranks.max()) + 1, _as_slice(ranks)))
+        return parts
+
+    @cached_property
+    def _order(self) -> IntArray:
+        """The order that turns the modes of one block after the other into the order of the measured modes."""
+        return np.argsort(np.concatenate(self._columns))
+
+    def solve(
+        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+    ) -> ModalSolution:
+        """Return the paired modes, solved for in their blocks only, and for shapes only with `gradient`."""
+        values, slopes = [], []
+        for b, count, ranks in self._parts:
+            block = model.blocks[b]
+            if gradient:
+                lam, phi = block.modes(theta, count)
+                slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
+            else:
+                lam = block.eigenvalues(theta, count)
+            values.append(lam[:, ranks])
+        owner, rank, _ = self.locate(model, theta, gradient)
+        return ModalSolution(
+            self._join_columns(values), self._join_columns(slopes) if gradient else None, owner, rank
+        )
+
+    def locate(
+        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+    ) -> tuple[IntArray, IntArray, Solved]:
+        """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m), and an empty dict."""
+        block, rank = self._labels
+        return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
+
+    def _join_columns(self, parts: list[FloatArray]) -> FloatArray:
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]
+
+
+def _as_slice(indices: IntArray) -> slice | IntArray:
+    """Return consecutive indices as a slice, which NumPy takes without copying, other indices unchanged."""
+    first = int(indices[0])
+    consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
+    return slice(first, first + len(indices)) if consecutive else indices
+
 
 @dataclass(frozen=True)
-class IndexPairing:
+class IndexPairing(Pairing):
     """The paper's pairing, of measured mode i with mode ``numbers[i]`` (from 1) of the sorted spectrum.
 
     Attributes
@@ -80,15 +160,27 @@ class IndexPairing:
     by_shape: ClassVar[Literal[False]] = False
     is_soft: ClassVar[bool] = False
     softness = 0.0
-    is_constant: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
             raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
 
-    def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver that sorts the spectra of all blocks together and takes the modes of these numbers."""
-        return _IndexSolve(self, model)
+    def solve(
+        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+    ) -> ModalSolution:
+        """Return the modes of these numbers in the spectra of all blocks, sorted together."""
+        return model.spectrum(theta, max(self.numbers), gradient).columns(np.array(self.numbers) - 1)
+
+    def locate(
+        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+    ) -> tuple[IntArray, IntArray, Solved]:
+        """Return block and rank of the paired modes; see `Pairing`."""
+        if len(model.blocks) == 1:  # a number is a rank, so that nothing is solved for
+            rank = np.tile(np.array(self.numbers) - 1, (len(theta), 1))
+            return np.zeros_like(rank), rank, {}
+        modes = self.solve(model, theta)
+        failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
+        return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
 
     def counts(self, model: BlockModel) -> dict[int, int]:
         """Return a dict from block index to the number of its lowest modes that may be paired."""
@@ -109,27 +201,8 @@ class IndexPairing:
         return repr(self).encode(), ()
 
 
-@dataclass(frozen=True)
-class _IndexSolve:
-    pairing: IndexPairing
-    model: BlockModel
-
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        numbers = self.pairing.numbers
-        return self.model.spectrum(theta, max(numbers), gradient).columns(np.array(numbers) - 1)
-
-    def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
-        numbers = self.pairing.numbers
-        if len(self.model.blocks) == 1:  # a number is a rank, so that nothing is solved for
-            rank = np.tile(np.array(numbers) - 1, (len(theta), 1))
-            return np.zeros_like(rank), rank, {}
-        modes = self(theta)
-        failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
-        return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
-
-
 @dataclass(frozen=True, eq=False)
-class ShapePairing:
+class ShapePairing(Pairing):
     """One-to-one assignment of computed modes to reference shapes by MAC.
 
     Attributes
@@ -151,11 +224,43 @@ class ShapePairing:
     by_shape: ClassVar[Literal[True]] = True
     is_soft: ClassVar[bool] = False
     softness = 0.0
-    is_constant: ClassVar[bool] = False
 
-    def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver that assigns by MAC among the modes of every block in which a reference moves."""
-        return _ShapeSolve(self, model)
+    def solve(
+        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+    ) -> ModalSolution:
+        """Return the modes assigned by MAC among the modes of every block in which a reference moves."""
+        solved, merged, (block, rank, column) = self._solve(model, theta, False, observed)
+        # where a block failed, modes of other blocks must not take its references
+        merged[np.any(np.isnan(merged), axis=1)] = np.nan
+        lam = np.take_along_axis(merged, column, axis=1)
+        if not gradient:
+            return ModalSolution(lam, None, block, rank)
+        slopes = np.concatenate(
+            [model.blocks[b].eigenvalue_gradient(theta, *modes) for b, modes in solved.items()], axis=1
+        )
+        return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+
+    def locate(
+        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+    ) -> tuple[IntArray, IntArray, Solved]:
+        """Return block and rank of the paired modes, and the modes of the blocks solved for; see `Pairing`."""
+        solved, merged, (owner, rank, _) = self._solve(model, theta, gradient, observed)
+        failed = np.isnan(merged).any(axis=1, keepdims=True)
+        return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
+
+    def _solve(
+        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed
+    ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
+        """Return the modes of each block, the eigenvalues of all candidates, and the result of `assign_modes`."""
+        observed = self.observe(model) if observed is None else observed
+        solved: Solved = {}
+        values, shapes = [], {}
+        for b in observed:
+            block, count = model.blocks[b], self.n_candidates(model, b)
+            lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
+            values.append(lam[:, :count])
+            shapes[b] = phi[:, :, :count]
+        return solved, np.concatenate(values, axis=1), self.assign_modes(observed, shapes)
 
     def n_candidates(self, model: BlockModel, b: int) -> int:
         """Return the number of modes that block `b` offers as candidates."""
@@ -220,8 +325,8 @@ class ShapePairing:
         """
         reference_size = np.sum(self.shapes**2, axis=0)[:, None]
         similarity, label = [], []
-        for b, (observe, reference) in observed.items():
-            seen = observe(shapes[b])
+        for b, (rows, reference) in observed.items():
+            seen = shapes_at(rows, shapes[b])
             cross = reference.T @ seen
             size = reference_size * np.sum(seen**2, axis=1)[:, None, :]
             similarity.append(np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0))
@@ -260,100 +365,6 @@ class SoftPairing(ShapePairing):
         return None
 
 
-class _ShapeSolve:
-    def __init__(self, pairing: ShapePairing, model: BlockModel) -> None:
-        self.pairing, self.model = pairing, model
-        self.observed = pairing.observe(model)
-
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        solved, merged, (block, rank, column) = self._solve(theta, gradient=False)
-        # where a block failed, modes of other blocks must not take its references
-        merged[np.any(np.isnan(merged), axis=1)] = np.nan
-        lam = np.take_along_axis(merged, column, axis=1)
-        if not gradient:
-            return ModalSolution(lam, None, block, rank)
-        slopes = np.concatenate(
-            [self.model.blocks[b].eigenvalue_gradient(theta, *modes) for b, modes in solved.items()], axis=1
-        )
-        return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
-
-    def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
-        solved, merged, (owner, rank, _) = self._solve(theta, gradient)
-        failed = np.isnan(merged).any(axis=1, keepdims=True)
-        return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
-
-    def _solve(
-        self, theta: FloatArray, gradient: bool
-    ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
-        """Return the modes of each block, the eigenvalues of all candidates, and the result of `assign_modes`."""
-        solved: Solved = {}
-        values, shapes = [], {}
-        for b in self.observed:
-            block, count = self.model.blocks[b], self.pairing.n_candidates(self.model, b)
-            lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
-            values.append(lam[:, :count])
-            shapes[b] = phi[:, :, :count]
-        return solved, np.concatenate(values, axis=1), self.pairing.assign_modes(self.observed, shapes)
-
-
-def reference_modes(
-    model: BlockModel,
-    theta: FloatArray,
-    sensors: sp.csr_array,
-    rows: sp.csr_array,
-    n_modes: int,
-    counterparts: tuple[int, ...] = (),
-) -> ShapePairing:
-    """Return the pairing with the elastic modes of a reference model that the sensors can see.
-
-    Without measured shapes, a mode that moves none of the sensors cannot have been measured. Of the modes that the
-    sensors can see, the lowest `n_modes` are taken in ascending order, or the `counterparts`.
-
-    Parameters
-    ----------
-    model : BlockModel
-        Unreduced.
-    theta : ndarray, shape (n_parameters,)
-        Parameters of the reference model, usually those before updating.
-    sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
-        The sensors, and the coordinates at which the shapes will be compared.
-    n_modes : int
-        Number of measured modes.
-    counterparts : tuple of int, optional
-        For each measured mode, the number (from 1) of its counterpart among the modes that the sensors can see.
-
-    Raises
-    ------
-    ValueError
-        If the sensors see too few modes.
-    """
-    picked = counterparts or tuple(range(1, n_modes + 1))
-    n_total = model.n_modes
-    count = min(max(picked) + SPARE, n_total)
-    while True:
-        shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
-        if len(shapes) >= max(picked):
-            columns = np.array(picked) - 1
-            margin = SPARE + max(0, int(ranks[columns].max()) + 1 - n_modes)
-            return ShapePairing(rows, shapes[columns].T, margin)
-        if count == n_total:
-            what = f"mode {max(picked)}" if counterparts else f"the {n_modes} measured modes"
-            raise ValueError(f"sensors: must see {what} (they see {len(shapes)})")
-        count = min(2 * count, n_total)
-
-
-def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
-    """Return the number of rigid-body modes below the elastic modes at theta (n_parameters,).
-
-    If there is a very stiff spring, every other mode has a vanishing share of the highest frequency. If a measured
-    frequency `elastic_hz` is given, a rigid-body mode must therefore have a vanishing share of that frequency too.
-    """
-    count = min(n_modes + 7, model.n_modes)  # at most six rigid-body modes, and one elastic mode
-    lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
-    is_far_below = lam <= (_FAR_BELOW * 2.0 * np.pi * elastic_hz) ** 2
-    return int(np.sum(is_rigid(lam) & is_far_below))
-
-
 def assign(mac: FloatArray) -> IntArray:
     """Return the column of the mode assigned to each reference, one to one, with the largest total MAC.
 
@@ -378,17 +389,3 @@ def assign(mac: FloatArray) -> IntArray:
     for i in in_conflict:
         best[i] = linear_sum_assignment(mac[i], maximize=True)[1]
     return best
-
-
-def _visible_modes(
-    model: BlockModel, theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
-) -> tuple[FloatArray, IntArray]:
-    """Return shapes (n, q) at `rows`, and ranks (n,) in their blocks, of elastic modes that sensors see."""
-    point = np.atleast_2d(theta)
-    spectrum = model.spectrum(point, count)
-    shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
-    compared, seen = shapes @ rows.T, shapes @ sensors.T
-    # mass-normalised shapes have similar sizes: a shape that is tiny at the sensors is only rounding there
-    elastic = ~is_rigid(spectrum.eigenvalues[0])
-    visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
-    return compared[elastic & visible], spectrum.rank[0][elastic & visible]

@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.fem.modes.block import Block
+from fmu.fem.modes.block import Block, Solved, shapes_at
 from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz, single_thread
 from fmu.fem.modes.solver import Matrix
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.fem.pairing.rules import PairedSolve
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _STEP = 1e-4
@@ -172,8 +171,8 @@ class StructureSensitivities(Sensitivities):
     Parameters
     ----------
     model : BlockModel
-    solve : PairedSolve
-        The pairing bound to the model.
+    located : tuple
+        The result of `fmu.fem.pairing.rules.Pairing.locate` at theta with `gradient`.
     counts : dict of int to int
         Number of the lowest modes of each block that may be paired.
     theta : ndarray, shape (n, n_parameters)
@@ -184,13 +183,13 @@ class StructureSensitivities(Sensitivities):
     def __init__(
         self,
         model: BlockModel,
-        solve: PairedSolve,
+        located: tuple[IntArray, IntArray, Solved],
         counts: dict[int, int],
         theta: FloatArray,
         sensors: Sequence[Matrix] | None = None,
     ) -> None:
         self._theta = theta
-        owner, rank, solved = solve.locate(theta, True)
+        owner, rank, solved = located
         eigenvalues = np.full(owner.shape, np.nan)
         slopes = np.full((*owner.shape, model.n_parameters), np.nan)
         if sensors is not None:
@@ -237,5 +236,5 @@ class StructureSensitivities(Sensitivities):
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
         at_sensors = np.zeros((n, q, count, p))
         at_sensors[part.row, :, part.rank] = weights[part.row, :, part.column]
-        left = np.asarray(part.block.at(part.sensors.T, at_sensors.reshape(n, q, -1))).reshape(n, -1, count, p)
+        left = np.asarray(shapes_at(part.sensors.T, at_sensors.reshape(n, q, -1))).reshape(n, -1, count, p)
         return part.block.shape_curvature(self._theta, part.lam, part.phi, left)[part.row, part.rank]

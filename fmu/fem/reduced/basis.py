@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from fmu.fem.modes.block import Block, Mapped, Observation
+from fmu.fem.modes.block import Block
 from fmu.fem.modes.derivatives import CLOSE, by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
@@ -178,10 +178,6 @@ class ReducedBlock(Block):
         """Return rows and references in an orthonormal basis of the shapes that the block can have at `rows`."""
         return compress_rows(rows, reference)
 
-    def at(self, rows: Any, phi: FloatArray) -> FloatArray:
-        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
-        return np.asarray(rows @ phi)
-
     def _slopes_seen(
         self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -228,11 +224,6 @@ class ReducedBlock(Block):
         products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)
         forms = np.swapaxes(phi, 1, 2)[:, None] @ products
         return coefficient.contract(theta, forms.reshape(n, forms.shape[1], -1)).reshape(n, r, count, -1)
-
-    def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return the map from shapes to an orthonormal basis of the shapes at `rows`, and the references in it."""
-        seen, reference = self.compress_rows(self.coordinates(rows), reference)
-        return Mapped(seen), reference
 
     def _set_terms(self, K: FloatArray, M: FloatArray) -> None:
         self._K, self._M = K, M

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.block import Mapped, Observation
+from fmu.fem.modes.block import Observation
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, BlockModel
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
@@ -143,9 +143,8 @@ class Learner:
         return lam, y
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return the map from shapes in V to those compared, and the references; see `Block.observe`."""
-        seen, reference = compress_rows(rows @ self.space.V, reference)
-        return Mapped(seen), reference
+        """Return rows of the coordinates of comparison in V, and the references there; see `Block.observe`."""
+        return compress_rows(rows @ self.space.V, reference)
 
     def add(self, X: FloatArray) -> None:
         """Add vectors X (n_dof, m) to the space, such as modes of the full model."""

@@ -133,8 +133,6 @@ class ReducedStructure(Approximation):
 
         Derivatives are included if `gradient`. The pairing must be by shape, soft or not.
         """
-        assert self.cheap.choose is not None  # the pairing is by shape
-        assert self._truth.choose is not None
         return self._answer(self.cheap.choose, self._truth.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:

@@ -48,7 +48,7 @@ class MixtureLikelihood(ModalLikelihood):
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
     The candidates k are the lowest modes of all blocks in which a measured shape has motion
-    (`fmu.fem.pairing.prediction.CandidateView`). The weights depend on the computed shapes and thus on θ; the
+    (`fmu.fem.pairing.prediction.predict_candidates`). The weights depend on the computed shapes and thus on θ; the
     gradient contains the derivatives of the weights. Where two modes of a block veer, their shapes and thus this
     likelihood change continuously, whereas the likelihood of a one-to-one pairing jumps.
 

@@ -167,7 +167,7 @@ def pair_of_modes(kind, coupling, turned):
     pairing = RankPairing((0, 0), (0, 1))
 
     def sensitivities(theta):
-        return StructureSensitivities(model, pairing.bind(model), pairing.counts(model), theta)
+        return StructureSensitivities(model, pairing.locate(model, theta, True), pairing.counts(model), theta)
 
     return sensitivities
 

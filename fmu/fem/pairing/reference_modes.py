@@ -1,0 +1,85 @@
+"""Elastic modes of a model before updating, which stand for measured shapes, and its rigid-body modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.fem.modes.modal import BlockModel, is_rigid
+from fmu.fem.pairing.rules import SPARE, ShapePairing
+from fmu.types import FloatArray, IntArray
+
+_FAR_BELOW = 1e-3
+"""Share of the lowest measured frequency below which a mode is a rigid-body mode."""
+
+
+def reference_modes(
+    model: BlockModel,
+    theta: FloatArray,
+    sensors: sp.csr_array,
+    rows: sp.csr_array,
+    n_modes: int,
+    counterparts: tuple[int, ...] = (),
+) -> ShapePairing:
+    """Return the pairing with the elastic modes of a reference model that the sensors can see.
+
+    Without measured shapes, a mode that moves none of the sensors cannot have been measured. Of the modes that the
+    sensors can see, the lowest `n_modes` are taken in ascending order, or the `counterparts`.
+
+    Parameters
+    ----------
+    model : BlockModel
+        Unreduced.
+    theta : ndarray, shape (n_parameters,)
+        Parameters of the reference model, usually those before updating.
+    sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
+        The sensors, and the coordinates at which the shapes will be compared.
+    n_modes : int
+        Number of measured modes.
+    counterparts : tuple of int, optional
+        For each measured mode, the number (from 1) of its counterpart among the modes that the sensors can see.
+
+    Raises
+    ------
+    ValueError
+        If the sensors see too few modes.
+    """
+    picked = counterparts or tuple(range(1, n_modes + 1))
+    n_total = model.n_modes
+    count = min(max(picked) + SPARE, n_total)
+    while True:
+        shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
+        if len(shapes) >= max(picked):
+            columns = np.array(picked) - 1
+            margin = SPARE + max(0, int(ranks[columns].max()) + 1 - n_modes)
+            return ShapePairing(rows, shapes[columns].T, margin)
+        if count == n_total:
+            what = f"mode {max(picked)}" if counterparts else f"the {n_modes} measured modes"
+            raise ValueError(f"sensors: must see {what} (they see {len(shapes)})")
+        count = min(2 * count, n_total)
+
+
+def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
+    """Return the number of rigid-body modes below the elastic modes at theta (n_parameters,).
+
+    If there is a very stiff spring, every other mode has a vanishing share of the highest frequency. If a measured
+    frequency `elastic_hz` is given, a rigid-body mode must therefore have a vanishing share of that frequency too.
+    """
+    count = min(n_modes + 7, model.n_modes)  # at most six rigid-body modes, and one elastic mode
+    lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
+    is_far_below = lam <= (_FAR_BELOW * 2.0 * np.pi * elastic_hz) ** 2
+    return int(np.sum(is_rigid(lam) & is_far_below))
+
+
+def _visible_modes(
+    model: BlockModel, theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
+) -> tuple[FloatArray, IntArray]:
+    """Return shapes (n, q) at `rows`, and ranks (n,) in their blocks, of elastic modes that sensors see."""
+    point = np.atleast_2d(theta)
+    spectrum = model.spectrum(point, count)
+    shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
+    compared, seen = shapes @ rows.T, shapes @ sensors.T
+    # mass-normalised shapes have similar sizes: a shape that is tiny at the sensors is only rounding there
+    elastic = ~is_rigid(spectrum.eigenvalues[0])
+    visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
+    return compared[elastic & visible], spectrum.rank[0][elastic & visible]
