@@ -8,7 +8,7 @@ from typing import Any
 
 
 def classes_held(root: Any) -> list[str]:
-    """Return the names of fmu's own classes that an object holds in attributes, containers, partials and methods."""
+    """Return the names of fmu's classes that an object holds in attributes, containers, partials and methods."""
     found: set[str] = set()
     seen: dict[int, Any] = {}
     left = [root]

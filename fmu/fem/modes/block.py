@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.solver import Matrix
-from fmu.fem.modes.terms import CoefficientMap, Term
+from fmu.fem.modes.terms import ParametricMatrix, Term
 from fmu.types import FloatArray, IntArray
 
 Observation = tuple[Matrix, FloatArray]
@@ -68,7 +68,7 @@ class Block:
     def __init__(self, dofs: IntArray, K_terms: Sequence[Term], M_terms: Sequence[Term]) -> None:
         self.dofs = dofs
         self.n_parameters = len(K_terms[0].powers)
-        self._K_map, self._M_map = CoefficientMap(K_terms), CoefficientMap(M_terms)
+        self._K_map, self._M_map = ParametricMatrix(K_terms), ParametricMatrix(M_terms)
         self.constant_mass = all(term.constant for term in M_terms)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +177,7 @@ class Block:
             found += value * total if of_mass else -total
         # the terms with ∂λ, and those of the length
         rest = np.einsum("nmp,nsmp->nsm", slope, y) - np.einsum("nmp,nsmp->nsm", along, turned)
-        masses = self._M_map(theta)
+        masses = self._M_map.coefficients(theta)
         pulled = self._sum_products(masses[:, :, None, None] * rest[:, None], True)
         pulled -= np.einsum("nmp,nsmp->nsm", along, dM)
         found += np.einsum("nsm,nsmp->nmp", pulled, turned) + np.einsum("nsm,nsmp->nmp", rest, dM)

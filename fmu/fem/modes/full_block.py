@@ -19,7 +19,7 @@ from fmu.fem.modes.modal import BlockModel, single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor, unit_diagonal
 from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes
-from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
+from fmu.fem.modes.terms import ParametricMatrix, Term, coefficient_gradients, weighted_sum
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # Up to this size a dense solve for the derivatives of a shape takes less time than a sparse solve.
@@ -30,23 +30,7 @@ _FURTHER = 3
 # matrix while it is factorised, and vectors of an eigenproblem.
 LIBRARIES, COPIES = int(0.35 * 2**30), 6
 _VECTORS = 120
-_RECOMPUTED = ("_sums", "_stacks")
-
-
-class EngineInUse:
-    """The engine whose workers solve for a block, if there is one. A copy or pickle has none.
-
-    Attributes
-    ----------
-    engine : Engine or None
-    """
-
-    def __init__(self) -> None:
-        self.engine: Engine | None = None
-
-    def __reduce__(self) -> tuple[type[EngineInUse], tuple[()]]:
-        """Return the call that makes one without an engine: a worker has no workers of its own."""
-        return EngineInUse, ()
+_RECOMPUTED = ("_stacks",)
 
 
 def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
@@ -85,16 +69,12 @@ class FullBlock(Block):
         self._constant_rank = known if len(self.M_terms) == 1 else None
         self._last: tuple[bytes, FloatArray, FloatArray] | None = None
         self._last_factor = model.last_factor(dofs)
-        self._in_use = EngineInUse()
+        self._engine: Engine | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without data that are recomputed on demand."""
-        return {name: value for name, value in self.__dict__.items() if name not in _RECOMPUTED} | {"_last": None}
-
-    @cached_property
-    def _sums(self) -> tuple[WeightedSum, WeightedSum]:
-        dense = self.size <= DENSE_LIMIT
-        return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
+        """Return the state for pickling, without what is recomputed, and the engine: a worker has no workers."""
+        kept = {name: value for name, value in self.__dict__.items() if name not in _RECOMPUTED}
+        return kept | {"_last": None, "_engine": None}
 
     @cached_property
     def _stacks(self) -> tuple[FloatArray, FloatArray]:
@@ -104,11 +84,15 @@ class FullBlock(Block):
 
     def _matrices(self, theta: FloatArray) -> Iterator[tuple[Matrix, Matrix]]:
         """Yield K and M at each theta (n, n_parameters) in turn."""
-        return zip(map(self._sums[0], self._K_map(theta)), self._masses(theta), strict=True)
+        return zip(self._add_up(self._K_map, theta), self._add_up(self._M_map, theta), strict=True)
 
     def _masses(self, theta: FloatArray) -> Iterator[Matrix]:
         """Yield M at each theta (n, n_parameters) in turn."""
-        return map(self._sums[1], self._M_map(theta))
+        return self._add_up(self._M_map, theta)
+
+    def _add_up(self, matrix: ParametricMatrix, theta: FloatArray) -> Iterator[Matrix]:
+        dense = self.size <= DENSE_LIMIT
+        return (matrix.add_up(weights, dense) for weights in matrix.coefficients(theta))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
@@ -148,7 +132,7 @@ class FullBlock(Block):
     def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
         """Return the factors of K at theta (n_parameters,), which are kept; None if K is not clearly definite."""
         return self._last_factor.at(
-            theta, lambda: clear_factor(*unit_diagonal(self._sums[0](self._K_map(theta[None])[0])))
+            theta, lambda: clear_factor(*unit_diagonal(next(self._add_up(self._K_map, theta[None]))))
         )
 
     def _factor_of(self, theta: FloatArray, S: Matrix, scale: FloatArray) -> ScaledFactor | None:
@@ -159,11 +143,11 @@ class FullBlock(Block):
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
         """Within a with block, solve in the workers of an engine what takes long; the results are the same."""
-        before, self._in_use.engine = self._in_use.engine, engine
+        before, self._engine = self._engine, engine
         try:
             yield
         finally:
-            self._in_use.engine = before
+            self._engine = before
 
     def run_tasks[Shared, Task, Result](
         self, work: Work[Shared, Task, Result], shared: Shared, tasks: Iterable[Task], of_factors: int = 0
@@ -183,7 +167,7 @@ class FullBlock(Block):
         of_factors : int
             Bytes of the factors that every worker makes for itself.
         """
-        engine, waiting = self._in_use.engine, enumerate(tasks)
+        engine, waiting = self._engine, enumerate(tasks)
         begun = list(islice(waiting, 1 if engine is None else self._workers_that_fit(engine, of_factors)))
         if engine is None or len(begun) < 2:
             with single_thread():
@@ -221,7 +205,7 @@ class FullBlock(Block):
         phi = np.full((len(theta), self.size, count), np.nan)
         if count == 0:
             return lam, phi
-        has_rank_of_all = np.all(self._M_map(theta) > 0, axis=1)
+        has_rank_of_all = np.all(self._M_map.coefficients(theta) > 0, axis=1)
         if self.size <= SMALL:
             self._solve_together(theta, has_rank_of_all, lam, phi)
         alone = np.flatnonzero(np.isnan(lam[:, 0]))
@@ -240,7 +224,7 @@ class FullBlock(Block):
     ) -> None:
         """Write the modes at each theta that one batch of small problems gives into `lam` and `phi`."""
         maps = zip(self._stacks, (self._K_map, self._M_map), strict=True)
-        K, M = (assemble(terms, coefficient(theta)) for terms, coefficient in maps)
+        K, M = (assemble(terms, matrix.coefficients(theta)) for terms, matrix in maps)
         finite = np.isfinite(K).all(axis=(1, 2)) & np.isfinite(M).all(axis=(1, 2))
         rows = np.flatnonzero(finite & has_rank_of_all & self._has_semidefinite_masses)
         if len(rows) and lam.shape[1] <= self._rank(M[rows[0]], is_that_of_all=True):

@@ -9,7 +9,7 @@ import numpy as np
 from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import factorise
-from fmu.fem.modes.terms import CoefficientMap, sum_at
+from fmu.fem.modes.terms import ParametricMatrix, sum_at
 from fmu.numbers import significant
 from fmu.types import Dof, FloatArray
 
@@ -66,7 +66,7 @@ class MassMoments:
         arms = [np.ones(model.n_dof)]
         if with_centre:
             arms += list(_coordinates(model).T)
-        self._map = CoefficientMap(model.M_terms)
+        self._map = ParametricMatrix(model.M_terms)
         self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
@@ -74,7 +74,7 @@ class MassMoments:
 
         The derivatives have shape (n, 1 or 4, n_parameters); they are None without `gradient`.
         """
-        moments = np.einsum("nk,kq->nq", self._map(theta), self._sums)
+        moments = np.einsum("nk,kq->nq", self._map.coefficients(theta), self._sums)
         mass = moments[:, :1]
         values = np.concatenate([mass, moments[:, 1:] / mass], axis=1)
         if not gradient:
@@ -152,7 +152,7 @@ class StaticDisplacement:
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
         V = U[:, s > _DEPENDENT * s[0]] / weight[:, None]
-        self._map = CoefficientMap(model.K_terms)
+        self._map = ParametricMatrix(model.K_terms)
         self._K = np.array([_symmetric(V.T @ (term.matrix @ V)) for term in model.K_terms])
         self._loads = V.T @ loads
 
@@ -162,7 +162,7 @@ class StaticDisplacement:
         The derivatives are None without `gradient`.
         """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
-        K = np.einsum("nk,kij->nij", self._map(theta), self._K)
+        K = np.einsum("nk,kij->nij", self._map.coefficients(theta), self._K)
         x = np.full((len(K), *self._loads.shape), np.nan)
         for i, one in enumerate(K):  # a singular matrix at one point must not fail the other points
             try:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError, check_arguments, shown
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 Powers = tuple[float, ...]
 """Powers of the parameters in a monomial."""
@@ -126,54 +127,16 @@ def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
     return weighted_sum(terms, coefficients(terms, theta[None])[0])
 
 
-class WeightedSum:
-    """The sum Σ_k w_k K_k of the matrices of `terms`, computed for many weights with one sparsity pattern.
+class ParametricMatrix:
+    """The matrix Σ_k c_k(θ) K_k of `terms`: its coefficients with derivatives, and the sum itself.
 
-    The pattern is found only once, because adding sparse arrays takes longer than solving a small structure.
+    Coefficients are fast in the common case c_k = θ_j. The sparsity pattern of the sum is found only once, when it
+    is needed, because adding sparse arrays takes longer than solving a small structure.
 
     Parameters
     ----------
     terms : sequence of Term
-    dense : bool
-        Whether the sum is returned as an ndarray instead of a csr_array.
     """
-
-    def __init__(self, terms: Sequence[Term], dense: bool) -> None:
-        self._shape = terms[0].matrix.shape
-        matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in terms]
-        for matrix in matrices:
-            matrix.sum_duplicates()
-        ones = [_with_entries(matrix, np.ones(matrix.nnz)) for matrix in matrices]
-        pattern = ones[0]
-        for one in ones[1:]:
-            pattern = pattern + one
-        number = _with_entries(pattern, np.arange(1.0, pattern.nnz + 1.0))  # from 1: a product drops zeros
-        self._places = np.ravel_multi_index(pattern.tocoo().coords, self._shape) if dense else None
-        self._indices, self._indptr = (of.astype(np.int32) for of in (pattern.indices, pattern.indptr))
-        self._parts = [
-            (slice(None) if m.nnz == pattern.nnz else one.multiply(number).data.astype(np.int32) - 1, m.data)
-            for one, m in zip(ones, matrices, strict=True)
-        ]
-
-    def __call__(self, weights: FloatArray) -> Any:
-        """Return the sum for weights of shape (n_terms,); its entries are not finite on overflow."""
-        data = np.zeros(len(self._indices))
-        with np.errstate(over="ignore", invalid="ignore"):
-            for weight, (where, values) in zip(weights, self._parts, strict=True):
-                data[where] += weight * values
-        if self._places is not None:
-            total = np.zeros(self._shape)
-            total.flat[self._places] = data
-            return total
-        return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
-
-
-def _with_entries(matrix: sp.csr_array, entries: FloatArray) -> sp.csr_array:
-    return sp.csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-
-class CoefficientMap:
-    """Coefficients of a set of terms and their derivatives, fast in the common case c_k = theta_j."""
 
     def __init__(self, terms: Sequence[Term]) -> None:
         self.terms = tuple(terms)
@@ -184,8 +147,50 @@ class CoefficientMap:
         self._slopes = np.zeros((len(self.terms), self.n_parameters))
         self._slopes[self._linear, self._source] = 1.0
 
-    def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return the coefficients c_k(theta), shape (n, n_terms), at theta (n, n_parameters)."""
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state for pickling, without the pattern, which is found again on demand."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_pattern", "_places")}
+
+    @cached_property
+    def _pattern(self) -> tuple[IntArray, IntArray, list[tuple[slice | IntArray, FloatArray]]]:
+        """Columns and row pointers of the sum; for each term the places of its entries there, and its entries."""
+        matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in self.terms]
+        for matrix in matrices:
+            matrix.sum_duplicates()
+        ones = [_with_entries(matrix, np.ones(matrix.nnz)) for matrix in matrices]
+        pattern = ones[0]
+        for one in ones[1:]:
+            pattern = pattern + one
+        number = _with_entries(pattern, np.arange(1.0, pattern.nnz + 1.0))  # from 1: a product drops zeros
+        parts = [
+            (slice(None) if m.nnz == pattern.nnz else one.multiply(number).data.astype(np.int32) - 1, m.data)
+            for one, m in zip(ones, matrices, strict=True)
+        ]
+        return pattern.indices.astype(np.int32), pattern.indptr.astype(np.int32), parts
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """Places of the entries of the sum in a dense matrix, counted row by row."""
+        columns, pointers, _ = self._pattern
+        rows = np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
+        return np.ravel_multi_index((rows, columns), self.terms[0].matrix.shape)
+
+    def add_up(self, weights: FloatArray, dense: bool) -> Any:
+        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse, and not finite on overflow."""
+        columns, pointers, parts = self._pattern
+        data = np.zeros(len(columns))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for weight, (where, values) in zip(weights, parts, strict=True):
+                data[where] += weight * values
+        shape = self.terms[0].matrix.shape
+        if dense:
+            total = np.zeros(shape)
+            total.flat[self._places] = data
+            return total
+        return sp.csr_array((data, columns, pointers), shape=shape)
+
+    def coefficients(self, theta: FloatArray) -> FloatArray:
+        """Return the coefficients c_k(θ), shape (n, n_terms), at theta (n, n_parameters)."""
         if len(self._linear) == len(self.terms):
             return theta.take(self._source, axis=1)
         value = np.ones((len(theta), len(self.terms)))
@@ -221,6 +226,10 @@ class CoefficientMap:
     def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
         """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j, shape (n, m, n_parameters); see `contract`."""
         return self.contract_twice(theta, forms[..., None] * d[:, None]) if self._general else np.zeros(d.shape)
+
+
+def _with_entries(matrix: sp.csr_array, entries: FloatArray) -> sp.csr_array:
+    return sp.csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _as_csr(matrix: Any) -> sp.csr_array:

@@ -25,7 +25,7 @@ from fmu.fem.modes.derivatives import CLOSE, by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.stacks import assemble, row_by_row
-from fmu.fem.modes.terms import CoefficientMap, Term
+from fmu.fem.modes.terms import ParametricMatrix, Term
 from fmu.types import FloatArray
 
 # In a block of more than _LARGE degrees of freedom, a term whose fraction of non-empty rows is at most _FEW is
@@ -108,31 +108,32 @@ class ReducedBlock(Block):
         """Return the lowest eigenvalues in (rad/s)², shape (n, count); NaN where the solver fails."""
         if self.massless:
             return self.modes(theta, count)[0]
-        A = assemble(self._K, self._K_map(theta))
+        A = assemble(self._K, self._K_map.coefficients(theta))
         # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
         if not self.constant_mass:
-            A = row_by_row(_whiten, A, assemble(self._M, self._M_map(theta)))[0]
+            A = row_by_row(_whiten, A, assemble(self._M, self._M_map.coefficients(theta)))[0]
         return row_by_row(_values, A)[0][:, :count]
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
-        A = assemble(self._K, self._K_map(theta))
+        A = assemble(self._K, self._K_map.coefficients(theta))
         few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
-            M = assemble(self._M, self._M_map(theta))
+            M = assemble(self._M, self._M_map.coefficients(theta))
             lam, phi = row_by_row(partial(_solve_inverse, count=count if few else None), A, M)
             return lam[:, :count], phi[:, :, :count]
         solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
         if self.constant_mass:
             lam, phi = row_by_row(solve, A)
             return lam[:, :count], phi[:, :, :count]
-        A, inverse = row_by_row(_whiten, A, assemble(self._M, self._M_map(theta)))
+        A, inverse = row_by_row(_whiten, A, assemble(self._M, self._M_map.coefficients(theta)))
         lam, y = row_by_row(solve, A)
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
     def matrices(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the projected K and M at theta (n, n_parameters), each of shape (n, r, r)."""
-        return assemble(self._K, self._K_map(theta)), assemble(self._M, self._M_map(theta))
+        K, M = self._K_map.coefficients(theta), self._M_map.coefficients(theta)
+        return assemble(self._K, K), assemble(self._M, M)
 
     def changes(self, theta: FloatArray, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return φᵀ ∂K φ and φᵀ ∂M φ for all pairs of shapes φ (n, r, m), each (n, n_parameters, m, m)."""
@@ -146,7 +147,7 @@ class ReducedBlock(Block):
 
     def stiffness_terms(self, theta: FloatArray) -> FloatArray:
         """Return the projected stiffness terms with their coefficients at theta, (n, n_terms, r, r)."""
-        return self._K_map(theta)[:, :, None, None] * self._K
+        return self._K_map.coefficients(theta)[:, :, None, None] * self._K
 
     def stiffness_changes(self, theta: FloatArray, weights: FloatArray) -> FloatArray:
         """Return Σ_k w_k ∂c_k/∂θ K_k, (n, n_parameters, r, r), for weights w of the terms, (n, n_terms)."""
@@ -209,7 +210,7 @@ class ReducedBlock(Block):
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
         """Return ∂φ, (n, r, m, q), given ∂K φ and ∂M φ of the same shape for q directions."""
-        K, M = assemble(self._K, self._K_map(theta)), assemble(self._M, self._M_map(theta))
+        K, M = self.matrices(theta)
         slopes = np.empty(dK.shape)
         for k in range(phi.shape[2]):
             mode = lam[:, k], phi[:, :, k], dK[:, :, k], dM[:, :, k]
@@ -217,7 +218,7 @@ class ReducedBlock(Block):
         return slopes
 
     def _slopes(
-        self, theta: FloatArray, coefficient: CoefficientMap, rows: FloatArray, phi: FloatArray, count: int
+        self, theta: FloatArray, coefficient: ParametricMatrix, rows: FloatArray, phi: FloatArray, count: int
     ) -> FloatArray:
         """Return φ_kᵀ (∂K/∂θ) φ_i for all k and the `count` lowest i, shape (n, r, count, n_parameters)."""
         n, r, _ = phi.shape

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.arguments import ArgumentError
 from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
+from fmu.fem.modes.terms import ParametricMatrix, Term
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Likelihood
 from fmu.posterior.errors.noise import checked_beta
@@ -63,8 +63,7 @@ class ModalResidual(Likelihood):
         order = np.concatenate([sensors, np.setdiff1d(part, sensors)])
         self._K_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.K_terms)
         self._M_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.M_terms)
-        self._K_map, self._M_map = CoefficientMap(self._K_terms), CoefficientMap(self._M_terms)
-        self._K_sum, self._M_sum = (WeightedSum(terms, dense=False) for terms in (self._K_terms, self._M_terms))
+        self._K_map, self._M_map = ParametricMatrix(self._K_terms), ParametricMatrix(self._M_terms)
         self._n_sensors = len(sensors)
         self.used = data.used
         self._eigenvalues = (2.0 * np.pi * np.asarray(data.frequencies_hz)) ** 2
@@ -101,8 +100,8 @@ class ModalResidual(Likelihood):
 
     def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
         """Return K and M at a single theta, with the sensors first, and the condensation onto the sensors."""
-        K = sp.csc_array(self._K_sum(self._K_map(theta)[0]))
-        M = sp.csc_array(self._M_sum(self._M_map(theta)[0]))
+        K = sp.csc_array(self._K_map.add_up(self._K_map.coefficients(theta)[0], dense=False))
+        M = sp.csc_array(self._M_map.add_up(self._M_map.coefficients(theta)[0], dense=False))
         return K, M, StaticCondensation(K, np.arange(self._n_sensors))
 
     def _terms(self, residual: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock, full_model
 from fmu.fem.modes.modal import fix_sign, frequency_gradient, frequency_hz, mac
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term, WeightedSum, weighted_sum
+from fmu.fem.modes.terms import ParametricMatrix, Term, weighted_sum
 from tests.gradients import differences
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
@@ -63,8 +63,8 @@ def test_the_sum_on_one_pattern_has_the_bits_of_added_matrices():
     terms = [Term(sp.random_array((9, 9), density=d, rng=rng, format="csr"), (1,)) for d in (0.1, 0.3, 0.0, 0.9)]
     for weights in (*rng.lognormal(sigma=20.0, size=(20, 4)), np.full(4, 1.7e308)):
         added = weighted_sum(terms, weights).toarray()
-        np.testing.assert_array_equal(WeightedSum(terms, dense=True)(weights), added)
-        np.testing.assert_array_equal(WeightedSum(terms, dense=False)(weights).toarray(), added)
+        np.testing.assert_array_equal(ParametricMatrix(terms).add_up(weights, dense=True), added)
+        np.testing.assert_array_equal(ParametricMatrix(terms).add_up(weights, dense=False).toarray(), added)
     assert np.isinf(added).any()
 
 

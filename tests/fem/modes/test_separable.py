@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import CoefficientMap, Term, coefficient_gradients, coefficients, monomial
+from fmu.fem.modes.terms import ParametricMatrix, Term, coefficient_gradients, coefficients, monomial
 
 EYE = sp.csr_array(sp.eye_array(2))
 POWERS = [
@@ -39,15 +39,15 @@ def test_coefficient_map_agrees_with_the_plain_formulas(powers):
     theta = rng.uniform(0.5, 2.0, size=(6, 3))
     terms = [Term(EYE, p) for p in powers]
     forms = rng.standard_normal((6, len(terms), 4))
-    mapping = CoefficientMap(terms)
-    assert_allclose(mapping(theta), coefficients(terms, theta), rtol=1e-15)
+    mapping = ParametricMatrix(terms)
+    assert_allclose(mapping.coefficients(theta), coefficients(terms, theta), rtol=1e-15)
     expected = np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(terms, theta))
     assert_allclose(mapping.contract(theta, forms), expected, rtol=1e-13, atol=1e-14)
 
 
 def test_coefficient_map_without_parameters():
-    mapping = CoefficientMap([Term(EYE, ()), Term(EYE, ())])
-    assert_array_equal(mapping(np.empty((3, 0))), np.ones((3, 2)))
+    mapping = ParametricMatrix([Term(EYE, ()), Term(EYE, ())])
+    assert_array_equal(mapping.coefficients(np.empty((3, 0))), np.ones((3, 2)))
     assert mapping.contract(np.empty((3, 0)), np.ones((3, 2, 5))).shape == (3, 5, 0)
 
 
@@ -56,8 +56,8 @@ def test_a_batch_changes_no_bit(powers):
     theta = np.random.default_rng(2).uniform(0.5, 2.0, size=(37, 3)) * [1e11, 1e-9, 1e-4]
     batch = monomial(theta, powers)
     assert_array_equal(batch, [monomial(row[None], powers)[0] for row in theta])
-    mapping = CoefficientMap([Term(EYE, powers)])
-    assert_array_equal(mapping(theta), [mapping(row[None])[0] for row in theta])
+    mapping = ParametricMatrix([Term(EYE, powers)])
+    assert_array_equal(mapping.coefficients(theta), [mapping.coefficients(row[None])[0] for row in theta])
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
