@@ -8,9 +8,8 @@ import numpy as np
 
 from fmu.analysis.plan.result import PLANNED, Plan
 from fmu.arguments import ArgumentError, Count, Draws, Seed, check_arguments
-from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel, PartialModel
 from fmu.fem.pairing.paired_structure import PairedStructure
-from fmu.fem.pairing.partial_model import PartialModel
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.reduced_structure import ReducedStructure, train
 from fmu.posterior.data.modal_data import ModalData

@@ -5,7 +5,7 @@ import pytest
 
 import fmu
 from fmu.analysis.plan.sensitivities import SHAPE_ERROR, of_structure, paired_with_itself, pick_modes
-from fmu.fem.pairing.partial_model import PartialModel
+from fmu.fem.pairing.modal_model import PartialModel
 from tests.gradients import differences
 from tests.shear_building import shear_building
 from tests.validation.scale_model import E, Size, frame_model
