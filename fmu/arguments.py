@@ -190,6 +190,13 @@ def _require(name: str, value: object, rule: Rule) -> None:
         raise mistake
 
 
+def as_list[One](given: One | Sequence[One]) -> list[One]:
+    """Return one value or several as a list; text is one value."""
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return list(given)
+    return [given]
+
+
 def shown(value: object) -> str:
     """Return a value as text for a message, in one line of at most 80 characters."""
     try:

@@ -20,7 +20,7 @@ from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.errors import FRFErrors
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, parameter_in
 
 Rows = Annotated[list[list[Positive]], Tag("<rows>")]
 Named = Annotated[Name, Tag("<text>")]
@@ -158,7 +158,7 @@ def vanishing(
     """
     counts, bounded = dict.fromkeys(noise, 0), set()
     for model in models:
-        inferred = {key: value.name for key, value in vars(model).items() if isinstance(value, Parameter)}
+        inferred = {key: value.name for key, value in vars(model).items() if parameter_in(value) is not None}
         counts |= {name: counts[name] + model.n_errors(data) for name in set(inferred.values())}
         if model.data_give_sd(data) if model.sd is None else "sd" not in inferred:
             bounded |= set(inferred.values())

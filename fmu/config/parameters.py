@@ -11,7 +11,17 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import Mistakes
-from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
+from fmu.config.tables import (
+    Declared,
+    Name,
+    NotNegative,
+    OneOf,
+    ParameterName,
+    Positive,
+    TomlTable,
+    built,
+    kind_of,
+)
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import quote
 from fmu.posterior.joint.outliers import Outliers
@@ -94,7 +104,7 @@ PriorTable = Annotated[Declared, OneOf("distribution", PRIORS)]
 
 
 def _kind_of_time(value: object) -> str:
-    return "<table>" if isinstance(value, dict | Declared) else "<word>" if isinstance(value, str) else "<number>"
+    return {"<table>": "<table>", "<text>": "<word>"}.get(kind_of(value) or "", "<number>")
 
 
 class PopulationTable(TomlTable):
@@ -124,8 +134,7 @@ class PopulationTable(TomlTable):
     def build(self) -> Population:
         """Return the population that the table describes."""
         sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
-        time = self.correlation_time
-        how = time.build() if isinstance(time, Declared) else time
+        how = built(self.correlation_time)
         return Population(self.distribution, sd, between, self.sd_by_group, how, self.by or "")
 
 
@@ -135,7 +144,7 @@ class OutliersTable(TomlTable):
     share: Annotated[
         Annotated[float, Tag("<number>")]
         | Annotated[Declared, OneOf("distribution", {"beta": PRIORS["beta"]}), Tag("<table>")],
-        Discriminator(lambda value: "<table>" if isinstance(value, dict | Declared) else "<number>"),
+        Discriminator(lambda value: "<table>" if kind_of(value) == "<table>" else "<number>"),
     ] = 0.05
     """Probability that a test is an outlier, or the prior of an inferred probability, distribution = "beta" on [0,
     1]."""
@@ -144,7 +153,7 @@ class OutliersTable(TomlTable):
 
     def build(self) -> Outliers:
         """Return the model of outliers that the table describes."""
-        return Outliers(self.share if isinstance(self.share, float) else self.share.build(), self.scale)
+        return Outliers(built(self.share), self.scale)
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:
@@ -184,8 +193,7 @@ class PiecewiseLinearTable(TomlTable):
 
     def build(self) -> PiecewiseLinear:
         """Return the law that the table describes."""
-        kinks = self.kinks if isinstance(self.kinks, list) else self.kinks.build()
-        return PiecewiseLinear(self.prior.build(), kinks)
+        return PiecewiseLinear(self.prior.build(), built(self.kinks))
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:
@@ -197,7 +205,7 @@ LawTable = Annotated[PolynomialTable | PiecewiseLinearTable, Field(discriminator
 
 
 def _kind_of_slope(value: object) -> str:
-    if isinstance(value, str):
+    if kind_of(value) == "<text>":
         return "<text>"
     return "<law>" if isinstance(value, dict) and "law" in value else "<prior>"
 

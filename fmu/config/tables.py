@@ -34,7 +34,7 @@ from pydantic_core import CoreSchema, core_schema
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import SeparableModel, separable_in
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.formats.modes.measured_modes import ModesError, Place
 from fmu.formats.shown import quote
@@ -79,10 +79,17 @@ class Built(NamedTuple):
     @property
     def separable(self) -> SeparableModel | None:
         """The model if it has matrices, otherwise None."""
-        return self.model if isinstance(self.model, SeparableModel) else None
+        return separable_in(self.model)
 
 
-_KIND_OF = {str: "<text>", bool: "<switch>", int: "<number>", float: "<number>"}
+_KIND_OF: dict[type, str] = {
+    str: "<text>",
+    bool: "<switch>",
+    int: "<number>",
+    float: "<number>",
+    dict: "<table>",
+    BaseModel: "<table>",
+}
 
 
 def kind_of(value: object) -> str | None:
@@ -90,6 +97,11 @@ def kind_of(value: object) -> str | None:
     if isinstance(value, list):
         return "<rows>" if value and kind_of(value[0]) in ("<list>", "<rows>") else "<list>"
     return next((kind for cls, kind in _KIND_OF.items() if isinstance(value, cls)), None)
+
+
+def built(value: Any) -> Any:
+    """Return the object that a table describes; any other value of a key as it is."""
+    return value.build() if isinstance(value, Declared) else value
 
 
 def by_kind(words: str) -> Discriminator:

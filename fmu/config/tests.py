@@ -16,7 +16,7 @@ from fmu.config.frf.errors import FRFTable
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable, PriorTable
-from fmu.config.tables import Built, Declared, FileName, Name, ParameterName, TomlTable, kind_of, reading
+from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, built, kind_of, reading
 from fmu.formats.modes.csv import Campaign, read_campaign
 from fmu.formats.modes.measured_modes import MeasuredModes, ModesError, Place, Sensors
 from fmu.posterior.data.modal_data import ModalData
@@ -54,16 +54,14 @@ CovariateValue = Annotated[
     Annotated[float, Tag("<number>")]
     | Annotated[Literal["missing"], Tag("<text>")]
     | Annotated[PriorTable, Tag("<table>")],
-    Discriminator(lambda value: "<table>" if isinstance(value, dict) else kind_of(value)),
+    Discriminator(kind_of),
 ]
 
 
 def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
     """Return a covariate in the form that `fmu.Test` takes; None if it is missing."""
-    if isinstance(given, Declared):
-        prior: Prior = given.build()
-        return prior
-    return None if isinstance(given, str) else given
+    found: float | Prior | None = None if given == "missing" else built(given)
+    return found
 
 
 class TestTable(MeasurementTable):

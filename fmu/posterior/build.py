@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.arguments import ArgumentError, shown
+from fmu.arguments import ArgumentError, as_list, shown
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import separable_in
 from fmu.fem.pairing.modal_model import ModalModel, Model, as_modal_model
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_structure import SOFT, PairedStructure, structure_of
@@ -25,10 +25,9 @@ from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.mixture import MixtureLikelihood
 from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
 from fmu.posterior.errors.residual import ModalResidual
-from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.frf.likelihood import FRFLikelihood, FRFsOfTest
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.quantities import StructureInTest, bind_quantities
+from fmu.posterior.joint.quantities import Errors, StructureInTest, bind_quantities
 from fmu.posterior.parameters import Parameter
 
 ERRORS = ("frequency", "modal-residual")
@@ -76,24 +75,28 @@ def paired_model(
     ValueError
         If the model does not fit the parameters or the data.
     """
-    if not (isinstance(model, SeparableModel | BlackBoxModel) or callable(getattr(model, "frequencies", None))):
+    structure, function = separable_in(model), model if isinstance(model, BlackBoxModel) else None
+    if structure is None and function is None and not callable(getattr(model, "frequencies", None)):
         raise ArgumentError(
             "model",
             "must be a SeparableModel, a BlackBoxModel or an object with frequencies(theta), "
             "n_parameters and n_modes",
             shown(model),
         )
-    if pairing == SOFT and not isinstance(model, SeparableModel):
+    if pairing == SOFT and structure is None:
         raise ArgumentError("pairing", "soft needs a SeparableModel, with slopes of shapes", type(model).__name__)
-    n, n_tests = len(parameters), model.n_tests if isinstance(model, ModalModel) else 1
+    shapes = None if data.shapes is None else np.asarray(data.shapes)
+    given: Any = model
+    paired: Any = None
+    if structure is None and function is None:
+        paired = as_modal_model(given, 0 if shapes is None else len(shapes))
+    n, n_tests = len(parameters), 1 if paired is None else paired.n_tests
     if model.n_parameters != n * n_tests:
         raise ArgumentError("parameters", f"the model takes {model.n_parameters // n_tests}", n)
     start = np.array([p.start for p in parameters], dtype=float)
-    shapes = None if data.shapes is None else np.asarray(data.shapes)
-    paired: Any = None
-    if isinstance(model, BlackBoxModel):
+    if function is not None:
         paired = PairedBlackBox.of(
-            model.at_sensors(() if shapes is None else data.sensors),
+            function.at_sensors(() if shapes is None else data.sensors),
             pairing=pairing,
             start=start,
             numbers=data.numbers,
@@ -102,12 +105,12 @@ def paired_model(
             upper=np.array([p.upper for p in parameters]),
             scale=np.array([p.prior.scale(p.lower, p.upper)[1] for p in parameters]),
         )
-    elif isinstance(model, SeparableModel):
+    elif structure is not None:
         names = tuple(p.name for p in parameters)
-        if model.names not in (None, names):
-            raise ArgumentError("parameters", f"must be the model's, in its order {model.names}", names)
+        if structure.names not in (None, names):
+            raise ArgumentError("parameters", f"must be the model's, in its order {structure.names}", names)
         paired = PairedStructure.of(
-            model,
+            structure,
             pairing=pairing,
             numbers=data.numbers,
             elastic_from_hz=None if data.counts_rigid else float(np.asarray(data.frequencies_hz).min()),
@@ -117,8 +120,6 @@ def paired_model(
             counterparts=data.counterparts,
             softness=softness,
         )
-    else:
-        paired = as_modal_model(model, 0 if shapes is None else len(shapes))
     if paired.n_modes != data.n_modes:
         raise ArgumentError("data", f"the model pairs {paired.n_modes} modes", data.n_modes)
     return paired
@@ -163,29 +164,30 @@ def likelihood_of(
     functions are given, the modes are not part of the likelihood: they are still paired, and the search for maxima
     begins with them.
     """
-    given: Sequence[Any] = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
-    if any(isinstance(one, FRFErrors) for one in given):
+    given: Sequence[Any] = as_list(error)
+    errors_of, structure = Errors.of(error), separable_in(model)
+    if errors_of.of_frfs:
         return _likelihood_of_frfs(given, beta, model, paired, data, parameters, discrepancy, layout)
     if data.used is not None and not len(data.used):
         raise ArgumentError("use", "must be true for at least one mode", list(data.use))
     if isinstance(error, str) and error not in ERRORS:
         raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))
-    discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
+    discrepancies = tuple(as_list(discrepancy))
     if discrepancies and (error == "modal-residual" or paired.is_soft):
         got = "the modal residual" if error == "modal-residual" else "soft pairing"
         raise ArgumentError("discrepancy", "needs errors of frequencies or shapes, paired one to one", got)
     if error == "modal-residual":
-        if not isinstance(model, SeparableModel):
+        if structure is None:
             raise ArgumentError("error", "the modal residual needs a SeparableModel", type(model).__name__)
         start = np.array([p.start for p in parameters], dtype=float)
-        return ModalResidual(model, data, start, 1.0 if beta is None else beta)
+        return ModalResidual(structure, data, start, 1.0 if beta is None else beta)
     if not given or not all(
-        one in ("frequency",) or hasattr(one, "bind") or isinstance(one, QuantityErrors) for one in given
+        one in ("frequency", *errors_of.of_quantities.values()) or hasattr(one, "bind") for one in given
     ):
         raise ArgumentError(
             "error", f"must be one of {ERRORS}, or error models such as fmu.FrequencyErrors(sd=0.01)", shown(error)
         )
-    others = [one for one in given if isinstance(one, QuantityErrors)]
+    others = list(errors_of.of_quantities.values())
     errors = [one for one in given if one not in others and one != "frequency"]
     if not errors:
         errors = [BetaFrequencyErrors(beta)]
@@ -195,7 +197,7 @@ def likelihood_of(
         make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
         likelihood: Likelihood = make(paired, data, errors)
         return likelihood
-    if others and len(layout.tests) == 1 and (paired.is_soft or not isinstance(model, SeparableModel)):
+    if others and len(layout.tests) == 1 and (paired.is_soft or structure is None):
         got = "soft pairing" if paired.is_soft else type(model).__name__
         raise ArgumentError("error", "a mass or a displacement needs a SeparableModel, paired one to one", got)
     quantities: Sequence[QuantityTerm]
@@ -203,7 +205,7 @@ def likelihood_of(
         _check_single(others)
         quantities = [one.bind_structure(model, parameters) for one in others]
     else:
-        quantities = bind_quantities({given.index(one): one for one in others}, model, layout)
+        quantities = bind_quantities(errors_of.of_quantities, model, layout)
     if discrepancies:
         return DiscrepantLikelihood(paired, data, errors, quantities, discrepancies, layout)
     return ModalLikelihood(paired, data, errors, quantities)
@@ -220,9 +222,10 @@ def _likelihood_of_frfs(
     layout: Layout,
 ) -> Likelihood:
     """Return the likelihood of frequency response functions and of the modes that have errors beside them."""
-    of_frfs = [one for one in given if isinstance(one, FRFErrors)]
+    errors = Errors.of(given)
+    of_frfs = list(errors.of_frfs.values())
     if len(layout.tests) == 1:
-        if paired.is_soft or not isinstance(model, SeparableModel):
+        if paired.is_soft or separable_in(model) is None:
             rule = "frequency response functions need a SeparableModel, paired one to one"
             raise ArgumentError("error", rule, "soft pairing" if paired.is_soft else type(model).__name__)
         if len(of_frfs) > 1:
@@ -232,8 +235,8 @@ def _likelihood_of_frfs(
             raise ArgumentError("error", rule, len(of_frfs))
         _check_single(of_frfs)
     others = [one for one in given if one not in of_frfs]
-    of_modes = any(not isinstance(one, QuantityErrors) for one in others)
-    discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
+    of_modes = errors.of_modes != "frequency"  # given, and not by default
+    discrepancies = tuple(as_list(discrepancy))
     if discrepancies and len(layout.tests) > 1:
         rule = "is for frequency response functions of a single test, or for tests of modes alone"
         raise ArgumentError("discrepancy", rule, f"{len(layout.tests)} tests")

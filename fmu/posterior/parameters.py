@@ -11,7 +11,7 @@ import numpy as np
 from fmu.arguments import ArgumentError, Bound, check_arguments
 from fmu.numbers import customary_unit, given, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Plain
 
 _IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
 """Arguments of priors that are in the unit of the parameter."""
@@ -99,6 +99,21 @@ class Parameter:
 
     def _has_density(self, x: float) -> bool:
         return bool(np.isfinite(self.prior.log_pdf(np.array([x]))[0]))
+
+
+def parameter_in(given: object) -> Parameter | None:
+    """Return a setting that is inferred, as a parameter; None for a value that is known."""
+    return given if isinstance(given, Parameter) else None
+
+
+def value_and_parameter(given: float | Parameter) -> tuple[float, Parameter | None]:
+    """Return the value of a setting, and None; or, if it is inferred, the start of its parameter, and that."""
+    return (given.start, given) if isinstance(given, Parameter) else (float(given), None)
+
+
+def value_or_name(given: Any) -> Plain:
+    """Return a setting as it is or, if it is inferred, the name of its parameter."""
+    return given.name if isinstance(given, Parameter) else given
 
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:

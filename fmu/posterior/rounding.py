@@ -28,7 +28,7 @@ from fmu.fem.modes.modal import RIGID, ModalSolution
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
-from fmu.fem.reduced.reduced_structure import ReducedStructure
+from fmu.fem.reduced.reduced_structure import reduced_in
 from fmu.numbers import share, significant
 from fmu.posterior.density import Posterior
 from fmu.types import FloatArray
@@ -231,11 +231,12 @@ def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
 
 def _highest_of_reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
     """Return the highest eigenvalue of the reduced block of each mode, (n_modes,); 0 if there is no such block."""
-    if not isinstance(model, ReducedStructure):
+    reduced = reduced_in(model)
+    if reduced is None:
         return np.zeros(len(owners))
     highest = {}
     for b in set(owners.tolist()):
-        block = model.cheap.blocks[b]
+        block = reduced.cheap.blocks[b]
         if block.is_reduced and not block.massless:
             highest[b] = float(np.max(block.eigenvalues(theta[None], block.size)))
     return np.array([highest.get(b, 0.0) for b in owners.tolist()])

@@ -134,6 +134,11 @@ class LogScaledDensity(ScaledDensity):
         return np.where(self.is_log, theta * self._sd, self.scale)
 
 
+def scaled_density(density: LogDensity) -> ScaledDensity:
+    """Return the scaled view of a density; the density itself if it is one."""
+    return density if isinstance(density, ScaledDensity) else ScaledDensity(density)
+
+
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
     """Return the scaled density for ascents, in logarithms of the parameters whose priors span decades.
 

@@ -160,10 +160,10 @@ def export(
         built = described.model.build(source.folder, described.structural)
         source_of = in_the_file([table.name for table in described.structural if table.updated], names)
         values = dict(zip(names, theta.tolist(), strict=True)) | problem.layout.held
-        if isinstance(built.model, SeparableModel):
+        if built.separable is not None:
             of_file = [table.name for table in described.structural]
             structural = np.array([values[source_of.get(name, name)] for name in of_file])
-            write_matrices(built.model, built.places, structural, f"At the {what}", stage)
+            write_matrices(built.separable, built.places, structural, f"At the {what}", stage)
         starts = values | {key: values[name] for key, name in source_of.items()}
         from_prior = {*left, *(key for key, name in source_of.items() if name in left)}
         original, about = source.file.read_text(encoding="utf-8"), f"The start values are the {what}"

@@ -192,11 +192,11 @@ def default_sampler(problem: LogDensity) -> str:
     With a discrepancy, which couples the tests, it is ``"hmc"``.
     """
     from fmu.analysis.maxima.search import is_searchable
-    from fmu.posterior.problem import UpdatingProblem
+    from fmu.analysis.trace.densities import is_updating
 
     if is_searchable(problem):
         return DEFAULT_SAMPLER
-    return "hmc" if isinstance(problem, UpdatingProblem) and problem.likelihood.has_discrepancy else "gibbs"
+    return "hmc" if is_updating(problem) and problem.likelihood.has_discrepancy else "gibbs"
 
 
 DEFAULTS: Mapping[str, Any] = {

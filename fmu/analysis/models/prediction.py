@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.convergence.diagnostics import interval_columns
+from fmu.analysis.trace.densities import discrepant_likelihood
 from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
 from fmu.arguments import ArgumentError, Count, Seed, check_arguments
 from fmu.fem.modes.changes import Change, changed_model
@@ -83,9 +84,9 @@ def predict_modes(
     f, J = _solve(problem, values, modes, change or Change())
     solved = np.isfinite(f).all(axis=1)
     theta, values, f, J = theta[solved], values[solved], f[solved], J[solved]
-    whole = f
-    if isinstance(problem.likelihood, DiscrepantLikelihood):
-        whole = _with_errors(problem, problem.likelihood, theta, values, f, J, np.random.default_rng(seed))
+    whole, likelihood = f, discrepant_likelihood(problem)
+    if likelihood is not None:
+        whole = _with_errors(problem, likelihood, theta, values, f, J, np.random.default_rng(seed))
     columns: dict[str, FloatArray] = {"mean": whole.mean(axis=0)}
     for prefix, x in (("", whole), ("model_", f)):
         columns[f"{prefix}sd"] = x.std(axis=0, ddof=1)

@@ -20,12 +20,11 @@ from fmu.analysis.plan.sensors import baselines
 from fmu.analysis.plan.sensors.bound import Relaxed, relax
 from fmu.analysis.plan.sensors.choice import Limits, choose
 from fmu.analysis.plan.sensors.information import Readings
-from fmu.analysis.plan.targets import Decision, Target, target_of, without_the_unneeded
+from fmu.analysis.plan.targets import Decision, Target, damage_in, target_of, without_the_unneeded
 from fmu.analysis.trace.densities import is_updating
 from fmu.arguments import ArgumentError, Count, Place, Seed, check_arguments
 from fmu.fem.modes.changes import Change
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.joint.damage_target import DamageTarget
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
@@ -133,7 +132,8 @@ def plan(
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
-    losses = target.parameters(problem) if isinstance(target, DamageTarget) else []
+    damage = damage_in(target)
+    losses = [] if damage is None else damage.parameters(problem)
     before = known_before(problem, trace, like, losses, draws, np.random.default_rng(seed))
     before = without_the_unneeded(before, target)
     wishes = Wishes(candidates, mounted, exclude, triaxial, costs or {}, _modes(before.data, modes), changes or {})

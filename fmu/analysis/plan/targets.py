@@ -58,6 +58,11 @@ def losses_of(target: DamageTarget, before: Before, psi: FloatArray) -> FloatArr
     return found[:, [layout.by_state.index(name) for name in target.names]]
 
 
+def damage_in(target: Target | None) -> DamageTarget | None:
+    """Return a target that is a loss; None for any other target."""
+    return target if isinstance(target, DamageTarget) else None
+
+
 def target_of(target: Target | None, before: Before) -> FloatArray | None:
     """Return the derivatives of a target with respect to the parameters, (n, t, P); None without a target.
 
@@ -129,9 +134,10 @@ class Decision:
     @classmethod
     def of(cls, target: Target | None, before: Before) -> Decision | None:
         """Return the decision for which a test is planned; None for any other target."""
-        if not isinstance(target, DamageTarget):
+        damage = damage_in(target)
+        if damage is None:
             return None
-        return cls(target.names, target.beyond, losses_of(target, before, before.reference[None])[0])
+        return cls(damage.names, damage.beyond, losses_of(damage, before, before.reference[None])[0])
 
     def expect(self, rows: FloatArray, state: State) -> pd.DataFrame:
         """Return a table of the expected results of a test for each loss; see the formula in the module docstring.

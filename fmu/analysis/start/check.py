@@ -19,7 +19,7 @@ from fmu.analysis.start.initial_modes import InitialModes, initial_modes, modes_
 from fmu.analysis.start.measured_frfs import MeasuredFRFs, measured_frfs
 from fmu.analysis.start.model_words import model_in_words, parameter_table, structure_drawing
 from fmu.analysis.start.prior_prediction import DRAWS, PriorPrediction, prior_prediction
-from fmu.analysis.trace.densities import is_updating
+from fmu.analysis.trace.densities import discrepant_likelihood, is_updating
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.arguments import ArgumentError, Seed, check_arguments
@@ -27,7 +27,6 @@ from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
 from fmu.numbers import fixed, given, names_in_words, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
-from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.prior_doubts import prior_doubts
 from fmu.tables import text_table, wrap_text
 
@@ -337,9 +336,8 @@ def check(
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
     """Return a sentence on the parameters that are neither updated nor scatter, in a list; empty without any."""
-    likelihood, scattered = problem.likelihood, list[int]()
-    if isinstance(likelihood, DiscrepantLikelihood):
-        scattered = likelihood.errors.scattered.tolist()
+    likelihood = discrepant_likelihood(problem)
+    scattered = [] if likelihood is None else likelihood.errors.scattered.tolist()
     idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]
     if not idle:
         return []

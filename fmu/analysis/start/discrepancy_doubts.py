@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fmu.analysis.trace.densities import discrepant_likelihood
 from fmu.numbers import names_in_words
 from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.problem import UpdatingProblem
@@ -21,8 +22,8 @@ def discrepancy_doubts(problem: UpdatingProblem) -> list[str]:
     if their Fisher information (of Gaussian errors with these variances) is singular: their errors then have the
     same pattern.
     """
-    likelihood = problem.likelihood
-    if not isinstance(likelihood, DiscrepantLikelihood):
+    likelihood = discrepant_likelihood(problem)
+    if likelihood is None:
         return []
     return [*_without_effect(problem, likelihood), *_alike(problem, likelihood)]
 

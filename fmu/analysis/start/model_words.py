@@ -11,6 +11,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.cost import memory_in_words
+from fmu.formats.modes.measured_modes import is_node
 from fmu.numbers import customary_unit, listed, names_in_words, significant, with_unit
 from fmu.posterior.parameters import prior_in_words
 from fmu.tables import data_frame
@@ -120,7 +121,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     stated. Degrees of freedom without named directions are not summed.
     """
     M = structure.M(problem.model_parameters(problem.start[None])[0])
-    if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
+    if all(is_node(node) and direction == "x" for node, direction in structure.dofs):
         least, most = (significant(float(end), 4) for end in (M.diagonal().min(), M.diagonal().max()))
         between = f"is {least} kg" if least == most else f"ranges from {least} to {most} kg"
         return [

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from fmu.analysis.evidence_estimators import tempering_group
 from fmu.analysis.frf.predictions import GROUP as FRFS
 from fmu.analysis.frf.predictions import frf_groups
-from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
+from fmu.analysis.trace.densities import (
+    discrepant_likelihood,
+    has_prior,
+    has_several_tests,
+    is_updating,
+    names_of,
+    start_of,
+    units_of,
+)
 from fmu.analysis.trace.distinct_draws import DistinctDraws, evaluate_in_parts
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
 from fmu.analysis.trace.modal_states import drawn_structure
@@ -27,7 +35,6 @@ from fmu.analysis.trace.reading import check_trace
 from fmu.arguments import check_arguments
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
-from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
@@ -289,13 +296,13 @@ def _frequency_groups(
         both = distinct.evaluate(lambda theta: _stack_terms(*problem.terms_and_misfit(theta)))
     together, squares = both[:, :, 0], both[:, :, 1:]
     terms: dict[str, tuple[object, FloatArray]] = {likelihood.terms_name: (dims, together)}
-    correlated = likelihood.correlated
+    correlated, discrepant = likelihood.correlated, discrepant_likelihood(problem)
     if correlated is not None:
         others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
         terms[GIVEN_OTHERS] = (dims, together + likelihood.of_used(others))
-    elif isinstance(likelihood, DiscrepantLikelihood) and likelihood.couples_modes:
+    elif discrepant is not None and discrepant.couples_modes:
         of_model = problem.layout.of_model
-        found = distinct.evaluate(lambda theta: likelihood.terms_given_others(of_model(theta)))
+        found = distinct.evaluate(lambda theta: discrepant.terms_given_others(of_model(theta)))
         terms[GIVEN_OTHERS] = (dims, found[:, :, : together.shape[-1]])
     if likelihood.responses:
         of_frfs = distinct.evaluate(

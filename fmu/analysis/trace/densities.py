@@ -9,12 +9,21 @@ import numpy as np
 from fmu.types import FloatArray, LogDensity
 
 if TYPE_CHECKING:
+    from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
     from fmu.posterior.problem import UpdatingProblem
 
 
 def is_updating(problem: object) -> TypeGuard[UpdatingProblem]:
     """Return True if `problem` is an updating problem, or an object with its attributes."""
     return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
+
+
+def discrepant_likelihood(problem: UpdatingProblem) -> DiscrepantLikelihood | None:
+    """Return the likelihood of a problem whose model has errors of its own; None for any other problem."""
+    from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+
+    likelihood = problem.likelihood
+    return likelihood if isinstance(likelihood, DiscrepantLikelihood) else None
 
 
 def has_several_tests(problem: object) -> TypeGuard[UpdatingProblem]:

@@ -359,6 +359,11 @@ class SeparableModel:
         return index | {name: index[other] for name, other in self.ties.items()}
 
 
+def separable_in(model: object) -> SeparableModel | None:
+    """Return a model that is given by its matrices; None for any other model."""
+    return model if isinstance(model, SeparableModel) else None
+
+
 def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
     """Return the csr_array, shape (q, n_dof), that picks the degrees of freedom `dofs` (q,) out of a motion."""
     picked = np.asarray(dofs, dtype=np.int64)

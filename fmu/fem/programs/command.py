@@ -20,6 +20,7 @@ from fmu.fem.programs.program_run import ProgramRun
 from fmu.fem.programs.solves import Solves
 from fmu.fem.programs.store import SolveStore
 from fmu.formats.modes import READERS
+from fmu.formats.modes.measured_modes import is_node
 from fmu.formats.shown import quote
 from fmu.types import Dof
 
@@ -133,7 +134,7 @@ class CommandModel(BlackBoxModel):
         if self.reader is None:
             return True
         form = READERS[self.reader]
-        has_place = isinstance(sensor[0], int) or not form.has_numbers
+        has_place = is_node(sensor[0]) or not form.has_numbers
         return has_place and sensor[1].removeprefix("-") in form.directions
 
     def at_sensors(self, sensors: Sequence[Dof]) -> CommandModel:

@@ -241,9 +241,14 @@ class ReducedStructure(Approximation):
             return with_rows(found, rows, full(theta[rows], gradient))
 
 
+def reduced_in(model: ModalModel) -> ReducedStructure | None:
+    """Return a model with a reduced basis; None for any other model."""
+    return model if isinstance(model, ReducedStructure) else None
+
+
 def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
     """Return the list of the reduced models among the parts of a model."""
-    return [part for part in model.parts if isinstance(part, ReducedStructure)]
+    return [part for part in map(reduced_in, model.parts) if part is not None]
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:

@@ -63,10 +63,10 @@ class ModeErrors:
             return Setting(0.0, index(Parameter(name, 0.5 * settings.prior_sd, 0.0, most, prior)))
 
         sd = correlation = shape_sd = None
-        if any(isinstance(term, FrequencyTerm) for term in terms):
+        if any(term.of_frequencies for term in terms):
             sd = size(settings.label, settings.sd)
             correlation = settings.correlation_over_modes(index)
-        if any(isinstance(term, ShapeTerm) for term in terms):
+        if any(term.needs_shapes for term in terms):
             shape_sd = size(f"{settings.label} shapes", settings.shape_sd)
         alike = np.eye(len(sensors))
         if settings.length is not None:

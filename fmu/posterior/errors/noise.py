@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError, Numbers, require
 from fmu.numbers import typed
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, parameter_in
 from fmu.types import FloatArray, IntArray, Plain
 
 NoiseIndex = Callable[[Parameter], int]
@@ -113,7 +113,7 @@ def spread(
         If a standard deviation is not positive and finite, does not have the shape of the errors, can be negative,
         or is missing.
     """
-    inferred = [p for p in (sd, model_sd) if isinstance(p, Parameter)]
+    inferred = [p for p in map(parameter_in, (sd, model_sd)) if p is not None]
     for parameter in inferred:
         if parameter.lower < 0:
             raise ArgumentError(
@@ -122,7 +122,7 @@ def spread(
                 typed(parameter.lower),
             )
     fixed = np.zeros(size.shape)
-    if sd is not None and not isinstance(sd, Parameter):
+    if sd is not None and parameter_in(sd) is None:
         given = np.asarray(sd, dtype=float)
         if not np.all(np.isfinite(given) & (given > 0)):
             raise ArgumentError(name, "sd must be positive and finite", given.tolist())
@@ -141,7 +141,7 @@ def spread(
 def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -> None:
     """Raise ValueError unless standard deviations and weights given as numbers are positive and finite."""
     for name, value in (("sd", sd), ("weights", weights)):
-        if value is not None and not isinstance(value, Parameter):
+        if value is not None and parameter_in(value) is None:
             require(name, value, Annotated[Numbers, Gt(0.0)])
 
 

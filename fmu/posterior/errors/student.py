@@ -18,7 +18,7 @@ from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.frequency import FrequencyErrors, FrequencyTerm
 from fmu.posterior.errors.frequency import Kind as Kind
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter
 from fmu.types import FloatArray, IntArray, Plain
 
 LEAST_FREEDOM = 1.0
@@ -47,7 +47,7 @@ class StudentErrors(FrequencyErrors):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.freedom, Parameter):
+        if parameter_in(self.freedom) is None:
             require("freedom", self.freedom, Annotated[float, Ge(LEAST_FREEDOM)])
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
@@ -59,15 +59,16 @@ class StudentErrors(FrequencyErrors):
             If `freedom` may be below 1, the data have a covariance, or standard deviations or weights do not fit
             the data.
         """
-        least = self.freedom.lower if isinstance(self.freedom, Parameter) else self.freedom
+        freedom, parameter = value_and_parameter(self.freedom)
+        least = freedom if parameter is None else parameter.lower
         if not least >= LEAST_FREEDOM:
             raise ArgumentError("freedom", f"must be at least {given(LEAST_FREEDOM)}", least)
         gaussian = super().bind(data, index)
         if not isinstance(gaussian, FrequencyTerm):
             raise ArgumentError("freedom", "Student's errors are independent, and the data have a covariance")
-        if isinstance(self.freedom, Parameter):
-            return StudentTerm(gaussian, np.nan, index(self.freedom))
-        return StudentTerm(gaussian, float(self.freedom))
+        if parameter is not None:
+            return StudentTerm(gaussian, np.nan, index(parameter))
+        return StudentTerm(gaussian, freedom)
 
 
 class StudentTerm(FrequencyTerm):

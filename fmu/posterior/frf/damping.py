@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, as_list, check_arguments
 from fmu.durable_files import digest
 from fmu.fem.frf.model import Damping
 from fmu.fem.frf.proportional import Source
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.numbers import typed
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
 from fmu.types import NotNegative, Plain
 
 
@@ -126,11 +126,10 @@ DampingModel = ModalDamping | RayleighDamping | StructuralDamping | Dashpot | Da
 def inferred_in(given: DampingModel | Sequence[DampingModel]) -> list[Parameter]:
     """Return a list of the inferred parameters of damping models, each listed once."""
     found: list[Parameter] = []
-    for one in given if isinstance(given, Sequence) else [given]:
+    for one in as_list(given):
         for value in vars(one).values():
-            several = value.values() if isinstance(value, Mapping) else value
-            parts = several if isinstance(value, Mapping | Sequence) else [value]
-            found += [part for part in parts if isinstance(part, Parameter) and part not in found]
+            parts = value.values() if isinstance(value, Mapping) else as_list(value)
+            found += [p for p in map(parameter_in, parts) if p is not None and p not in found]
     return found
 
 
@@ -157,7 +156,7 @@ def bind_damping(
         If there is no damping, a parameter can be negative, a name is unknown, an end of a dashpot does not move,
         a matrix does not fit, or modal ratios are combined with damping that couples the modes.
     """
-    models: Sequence[DampingModel] = given if isinstance(given, Sequence) else [given]
+    models: list[DampingModel] = as_list(given)
     inferred = inferred_in(models)
     if not models:
         raise ArgumentError(
@@ -165,11 +164,12 @@ def bind_damping(
         )
 
     def source(value: NotNegative | Parameter) -> Source:
-        if not isinstance(value, Parameter):
-            return Source(float(value))
-        if value.lower < 0.0:
-            raise ArgumentError(f"damping.{value.name}.lower", "must be at least 0", value.lower)
-        return Source(value.start, inferred.index(value))
+        number, parameter = value_and_parameter(value)
+        if parameter is None:
+            return Source(number)
+        if parameter.lower < 0.0:
+            raise ArgumentError(f"damping.{parameter.name}.lower", "must be at least 0", parameter.lower)
+        return Source(number, inferred.index(parameter))
 
     ratios: tuple[Source, ...] = ()
     alpha = beta = loss = Source(0.0)
@@ -178,8 +178,8 @@ def bind_damping(
     for one in models:
         match one:
             case ModalDamping():
-                many = one.ratios if isinstance(one.ratios, Sequence) else [one.ratios]
-                ratios = tuple(source(ratio) for ratio in many)
+                values: list[float | Parameter] = as_list(one.ratios)
+                ratios = tuple(map(source, values))
             case RayleighDamping():
                 alpha, beta = source(one.alpha), source(one.beta)
             case StructuralDamping():
@@ -218,16 +218,12 @@ def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
             parts = (array.indptr, array.indices, array.data)
             found["sha256"] = digest(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))
         elif isinstance(value, Mapping):
-            found[key] = {name: _plain(one) for name, one in value.items()}
+            found[key] = {name: value_or_name(one) for name, one in value.items()}
         elif isinstance(value, Sequence) and not isinstance(value, str):
-            found[key] = [_plain(one) for one in value]
+            found[key] = [value_or_name(one) for one in value]
         else:
-            found[key] = _plain(value)
+            found[key] = value_or_name(value)
     return found
-
-
-def _plain(value: Any) -> Plain:
-    return value.name if isinstance(value, Parameter) else value
 
 
 def _stiffness_of(model: SeparableModel, names: Sequence[str], name: str) -> int:

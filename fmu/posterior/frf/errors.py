@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, as_list, check_arguments
 from fmu.fem.frf.model import FRFModel
 from fmu.fem.frf.training import TOLERANCE, Lines
 from fmu.fem.modes.separable import SeparableModel
@@ -22,7 +22,7 @@ from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict, inferred_in
 from fmu.posterior.frf.scattered import ModeScatter, ScatteredTerm
 from fmu.posterior.frf.term import GAUSSIAN, FRFTerm
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
 from fmu.posterior.reduction.region import training_box
 from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.types import Dof, NotNegative, Plain
@@ -89,8 +89,9 @@ class FRFErrors(QuantityErrors):
         if self.data.freedom <= 2.0:
             rule = "must have standard deviations from three hits or averages at least"
             raise ArgumentError("data", rule, significant(1.0 + self.data.freedom / 2.0))
-        if isinstance(self.model_sd, Parameter) and self.model_sd.lower < 0.0:
-            raise ArgumentError(f"model_sd.{self.model_sd.name}.lower", "must be at least 0", self.model_sd.lower)
+        inferred = parameter_in(self.model_sd)
+        if inferred is not None and inferred.lower < 0.0:
+            raise ArgumentError(f"model_sd.{inferred.name}.lower", "must be at least 0", inferred.lower)
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
         """Return the same settings with names of places replaced by nodes of the model; labels keep the names."""
@@ -136,11 +137,11 @@ class FRFErrors(QuantityErrors):
         used = data.used
         needed = used | held_out(data)
         receptance = data.as_receptance()
+        model_sd, inferred_sd = value_and_parameter(self.model_sd)
         with np.errstate(invalid="ignore"):
             size = np.abs(receptance.values)
-            known = self.model_sd.start if isinstance(self.model_sd, Parameter) else self.model_sd
             sd = np.zeros(size.shape) if receptance.sd is None else receptance.sd
-            unit = np.where(needed, np.sqrt(sd**2 + (known * size) ** 2), np.inf)
+            unit = np.where(needed, np.sqrt(sd**2 + (model_sd * size) ** 2), np.inf)
         if not np.all(unit[used] > 0.0):
             rule = "must have standard deviations; give sd or coherence to FRFData, or model_sd to FRFErrors"
             raise ArgumentError("data", rule, "none")
@@ -172,9 +173,9 @@ class FRFErrors(QuantityErrors):
         first, of_test = len(parameters) + len(inferred), "" if self.test is None else f"{self.test}: "
         channels = Channels.of(data, gains, delays, first, np.isinf(data.freedom), of_test)
         inferred += channels.parameters
-        if isinstance(self.model_sd, Parameter):
-            inferred.append(self.model_sd)
-        own = None if isinstance(self.model_sd, Parameter) else float(self.model_sd)
+        if inferred_sd is not None:
+            inferred.append(inferred_sd)
+        own = model_sd if inferred_sd is None else None
         is_log = self.scale == "log"
         return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
 
@@ -204,16 +205,14 @@ class FRFErrors(QuantityErrors):
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the data, the damping and the settings, in plain Python types."""
-        models = self.damping if isinstance(self.damping, Sequence) else [self.damping]
-        sd = self.model_sd.name if isinstance(self.model_sd, Parameter) else self.model_sd
         return {
             "error": "frf",
             **({} if self.test is None else {"test": self.test}),
             "data": self.data.as_dict(),
             "points": [str(one) for one in self._nodes((*self.data.responses, *self.data.drives))],
-            "damping": [damping_as_dict(one) for one in models],
+            "damping": [damping_as_dict(one) for one in as_list(self.damping)],
             "scale": self.scale,
-            "model_sd": sd,
+            "model_sd": value_or_name(self.model_sd),
             "gain_sd": {f"{c[0]} {c[1]}": s for c, s in _by_channel("gain_sd", self.gain_sd, self.data).items()},
             "delay_sd": {
                 f"{c[0]} {c[1]}": s for c, s in _by_channel("delay_sd", self.delay_sd, self.data).items()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.posterior.ascent import FIRST_DAMPING, MOST_DAMPING, adjust_damping, find_pressed
-from fmu.posterior.joint.conditional.expansion import OfTests, information_by_test
+from fmu.posterior.joint.conditional.expansion import information_by_test, likelihood_of_tests
 from fmu.posterior.joint.conditional.scores import Scores
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
@@ -100,8 +100,7 @@ class BlockForm:
         problem, layout = self.problem, self.problem.layout
         n, d = len(layout.parameters), len(self.columns)
         n_tests, p = self.scores.scored.shape
-        assert isinstance(problem.likelihood, OfTests)  # of several tests
-        information = information_by_test(layout, problem.likelihood, theta)
+        information = information_by_test(layout, likelihood_of_tests(problem), theta)
         by_main = np.zeros((n_tests, len(layout.structural), d))
         by_score = np.zeros((n_tests, p))
         place = np.full(problem.ndim, -1)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fmu.fem.modes.changes import changed_model
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import separable_in
 from fmu.fem.pairing.modal_model import Model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.picked_modes import PICKED_SD
@@ -99,12 +99,13 @@ def find_configurations(
         kept = [j for j in range(of_model) if j not in known]
         changed: Any = model
         if first.masses or first.springs or known:
-            if not isinstance(model, SeparableModel):
+            structure = separable_in(model)
+            if structure is None:
                 raise TestsError(
                     [f"tests.{here[0]}: changes need a model with matrices (got {type(model).__name__})"]
                 )
             try:
-                changed = changed_model(model, first.masses, first.springs, known)
+                changed = changed_model(structure, first.masses, first.springs, known)
             except ValueError as error:
                 raise TestsError([f"tests.{here[0]}.{error}"]) from error
         parameters = [

@@ -124,7 +124,7 @@ def JointProblem(  # capitalised because it constructs a problem
         found += mistakes_of_shapes(tests)
     if found:
         raise TestsError(found)
-    if pairing == "soft" or (isinstance(error, str) and error == "modal-residual"):
+    if pairing == "soft" or error == "modal-residual":
         what = "soft pairing" if pairing == "soft" else "the modal residual"
         raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
     layout = build_layout(parameters, tests, ways, slopes, reference, correlation, outliers)

@@ -14,7 +14,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.modes.csv import read_campaign
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
-from fmu.posterior.priors.base import Prior
+from fmu.posterior.priors.base import Prior, prior_in
 from fmu.types import Plain
 
 
@@ -139,15 +139,15 @@ class Test:
             [str(place), direction, float(k)] for (place, direction), k in self.springs.items()
         ]
         inferred: dict[str, Plain] = {
-            name: None if x is None else x.as_dict()
+            name: None if (prior := prior_in(x)) is None else prior.as_dict()
             for name, x in self.covariates.items()
-            if x is None or isinstance(x, Prior)
+            if self.known_covariate(name) is None
         }
-        known = {name: x for name, x in self.covariates.items() if not (x is None or isinstance(x, Prior))}
+        known = {name: x for name in self.covariates if (x := self.known_covariate(name)) is not None}
         return {
             "name": self.name,
             "group": self.group,
-            "covariates": {name: float(x) for name, x in known.items()},
+            "covariates": known,
             **({"inferred_covariates": inferred} if inferred else {}),
             "masses": {str(place): float(m) for place, m in self.masses.items()},
             "springs": springs,

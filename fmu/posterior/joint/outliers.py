@@ -24,6 +24,7 @@ from scipy.special import logsumexp
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import settings_of
 from fmu.posterior.priors.scipy_distributions import ScaledBeta
 from fmu.types import BoolArray, FloatArray, IntArray, Plain
 
@@ -53,24 +54,27 @@ class Outliers:
     scale: Annotated[float, Gt(1.0)] = 5.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.share, ScaledBeta):
-            if (self.share.low, self.share.high) != (0.0, 1.0):
-                ends = f"[{self.share.low}, {self.share.high}]"
-                raise ArgumentError("share", "must be a number, or a beta prior on [0, 1]", ends)
-        elif not 0.0 < self.share < 1.0:
+        prior = self.prior
+        if prior is None and not 0.0 < float(np.asarray(self.share)) < 1.0:
             raise ArgumentError("share", "must be between 0 and 1", self.share)
+        if prior is not None and (prior.low, prior.high) != (0.0, 1.0):
+            ends = f"[{prior.low}, {prior.high}]"
+            raise ArgumentError("share", "must be a number, or a beta prior on [0, 1]", ends)
+
+    @property
+    def prior(self) -> ScaledBeta | None:
+        """The prior of the share; None if the share is known."""
+        return self.share if isinstance(self.share, ScaledBeta) else None
 
     @property
     def parameter(self) -> Parameter | None:
         """The share as a parameter of theta; None if it is known."""
-        if not isinstance(self.share, ScaledBeta):
-            return None
-        return Parameter(NAME, self.share.a / (self.share.a + self.share.b), 0.0, 1.0, self.share)
+        prior = self.prior
+        return None if prior is None else Parameter(NAME, prior.a / (prior.a + prior.b), 0.0, 1.0, prior)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""
-        share = self.share.as_dict() if isinstance(self.share, ScaledBeta) else self.share
-        return {"share": share, "scale": self.scale}
+        return {"share": settings_of(self.share), "scale": self.scale}
 
 
 class _Terms(NamedTuple):
@@ -211,11 +215,12 @@ class ContaminatedScores:
 
         The distribution of ε is then beta, with the numbers of outliers and of other tests added to a and b.
         """
-        if self.share is None or not isinstance(self.of.share, ScaledBeta):
+        prior = self.of.prior
+        if self.share is None or prior is None:
             return theta
         found, counted = theta.copy(), self.is_outlier.any(axis=0)
         n_outliers = np.sum((scales > 1.0).any(axis=2), axis=1)
-        a, b = self.of.share.a + n_outliers, self.of.share.b + counted.sum() - n_outliers
+        a, b = prior.a + n_outliers, prior.b + counted.sum() - n_outliers
         tiny = np.finfo(float).eps
         found[:, self.share] = np.clip(rng.beta(a, b), tiny, 1.0 - tiny)
         return found

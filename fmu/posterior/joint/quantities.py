@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu.arguments import shown
-from fmu.fem.modes.separable import SeparableModel
+from fmu.arguments import as_list, shown
+from fmu.fem.modes.separable import separable_in
 from fmu.formats.shown import names_shown
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
@@ -39,7 +39,7 @@ class Errors(NamedTuple):
     @classmethod
     def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
         """Return the user's error models, split into error models of modes and of other quantities."""
-        given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
+        given: Any = as_list(error)
         quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
         if not quantities:
             return cls(error, {})
@@ -78,7 +78,7 @@ class Errors(NamedTuple):
             found += [f"error: frequency response functions {rule} (got none of {names_shown(without)})"] * bool(
                 without
             )
-        if self.of_quantities and not isinstance(model, SeparableModel):
+        if self.of_quantities and separable_in(model) is None:
             first = next(iter(self.of_quantities))
             what = "a frequency response function" if self.of_frfs else "a mass or a displacement"
             found.append(

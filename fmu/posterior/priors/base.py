@@ -104,6 +104,16 @@ class Prior(ABC):
         return left, right
 
 
+def prior_in(given: object) -> Prior | None:
+    """Return a value that is given by its distribution; None for a number, a name or nothing."""
+    return given if isinstance(given, Prior) else None
+
+
+def settings_of(given: Prior | Plain) -> Plain:
+    """Return the settings of a prior in plain Python types; any other value as it is."""
+    return given.as_dict() if isinstance(given, Prior) else given
+
+
 @check_arguments
 @dataclass(frozen=True)
 class Normal(Prior):

@@ -45,7 +45,7 @@ from fmu.posterior.joint.conditional.in_time import move_in_time
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear
 from fmu.posterior.joint.varies.base import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.scaled import ScaledDensity
+from fmu.posterior.scaled import ScaledDensity, scaled_density
 from fmu.samplers.adaptation import DualAveraging
 from fmu.samplers.gibbs.main_parameters import MovesOfMain
 from fmu.samplers.kernel import Info, Sampler, State, Tree
@@ -99,14 +99,14 @@ class GibbsSampler(Sampler):
 
     def bind(self, density: LogDensity) -> GibbsKernel:
         """Return the kernel; raise ValueError if `density` has no populations over tests, or has a discrepancy."""
-        problem = density.density if isinstance(density, ScaledDensity) else density
+        scaled = scaled_density(density)
+        problem = scaled.density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
         if problem.likelihood.has_discrepancy:
             raise ValueError(
                 "problem: must have no discrepancy for Gibbs sampling, as it couples the tests; use hmc (got one)"
             )
-        scaled = density if isinstance(density, ScaledDensity) else ScaledDensity(density)
         found = conditionals(problem)
         metric = Metric.of(found.normal.covariance, len(found.normal.mean))
         step_size = np.asarray(_FIRST_STEP if self.step_size is None else self.step_size)

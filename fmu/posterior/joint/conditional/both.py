@@ -11,7 +11,7 @@ from fmu.box import find_inside
 from fmu.posterior.joint.blocks import BlockForm
 from fmu.posterior.joint.conditional.bend import find_bend
 from fmu.posterior.joint.conditional.dates import DateOfEvent, undated_events
-from fmu.posterior.joint.conditional.expansion import OfTests, expand
+from fmu.posterior.joint.conditional.expansion import expand, likelihood_of_tests
 from fmu.posterior.joint.conditional.given_values import PopulationsGivenValues
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.regression import FittedNormal, fit_normal, reflect
@@ -125,7 +125,6 @@ def scatter_about_typical(
 
 
 def _compute(problem: UpdatingProblem) -> Conditionals:
-    assert isinstance(problem.likelihood, OfTests)  # of several tests
     problem = problem.with_layout(problem.layout.without_time())
     plain = problem.with_layout(problem.layout.remove_centring())
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
@@ -163,8 +162,7 @@ def _about(
     plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> tuple[ScoresGivenMain, MarginalOfMain]:
     """Return the densities of scores and of main parameters, expanded about theta, (1, ndim)."""
-    assert isinstance(plain.likelihood, OfTests)
-    expansion = expand(plain.layout, plain.likelihood, theta[0])
+    expansion = expand(plain.layout, likelihood_of_tests(plain), theta[0])
     scores = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta, scales)
     return scores, MarginalOfMain(plain, scores, theta)
 

@@ -11,10 +11,18 @@ from fmu.posterior.errors.noise import Spread
 from fmu.posterior.frf.likelihood import FRFLikelihood
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.base import sum_by_test
+from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray, IntArray
 
 OfTests = ModalLikelihood | FRFLikelihood
 """The likelihoods of several tests."""
+
+
+def likelihood_of_tests(problem: UpdatingProblem) -> OfTests:
+    """Return the likelihood of a problem of several tests, which has no soft pairing and no modal residual."""
+    likelihood = problem.likelihood
+    assert isinstance(likelihood, OfTests)  # for the type checker
+    return likelihood
 
 
 class Expansion(NamedTuple):

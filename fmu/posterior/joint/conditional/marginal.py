@@ -54,7 +54,7 @@ class MarginalOfMain:
     def __init__(self, problem: UpdatingProblem, scores: ScoresGivenMain, theta: FloatArray) -> None:
         self.layout, self.given, of = problem.layout, scores, scores.scores
         outliers = self.layout.outliers
-        times = [one.drawn.in_time.column() for one in of.every if one.drawn.in_time is not None]
+        times = [one.drawn.in_time.column for one in of.every if one.drawn.in_time is not None]
         others = [*of.columns[of.scored].tolist(), *(outliers.of_share if outliers else ())]
         others += [column for column in times if column is not None]
         losses = [one for value_of in self.layout.values_of if (one := value_of.sudden_loss) is not None]

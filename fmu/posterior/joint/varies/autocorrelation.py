@@ -23,7 +23,7 @@ import numpy as np
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Theta
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.base import Prior
+from fmu.posterior.priors.base import Prior, prior_in
 from fmu.posterior.priors.one_sided import LogNormal
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -59,7 +59,7 @@ def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[st
     here = [t for t, test in enumerate(tests) if name not in test.known]
     given = {t: tests[t].covariates.get(by) for t in here}
     rule = f"must have {by} as a number, as values of {name} are correlated in time"
-    wrong = [t for t, x in given.items() if x is None or isinstance(x, Prior)]
+    wrong = [t for t in here if tests[t].known_covariate(by) is None]
     if wrong:
         return [f"tests.{t}.covariates: {rule} (got {given[t]})" for t in wrong]
     found, seen = [], dict[object, int]()
@@ -81,8 +81,10 @@ class InTime:
 
     Attributes
     ----------
-    correlation_time : float or int
-        T, if it is a float; or its index in theta.
+    correlation_time : float or None
+        T; None if it is inferred.
+    column : int or None
+        Index of T in theta; None if it is known.
     by : str
         The covariate that is the time; empty for the order of the tests.
     order : ndarray of int, shape (m,)
@@ -91,7 +93,8 @@ class InTime:
         Their times.
     """
 
-    correlation_time: float | int
+    correlation_time: float | None
+    column: int | None
     by: str
     order: IntArray
     times: FloatArray
@@ -104,20 +107,16 @@ class InTime:
         times = times_of(by, theta.tests)[list(here)]
         order = np.argsort(times, kind="stable")
         times = times[order]
-        if isinstance(how, str | Prior):
-            prior = default_prior(times) if isinstance(how, str) else how
+        if not isinstance(how, float | int):
+            prior = prior_in(how) or default_prior(times)
             start, least = prior.median_within(*prior.support), max(0.0, prior.support[0])
             parameter = Parameter(f"{p.name} correlation time", start, least, prior=prior)
-            return cls(theta.add(parameter, "correlation time", of, by), by, np.array(here)[order], times)
-        return cls(float(how), by, np.array(here)[order], times)
-
-    def column(self) -> int | None:
-        """Return the index of T in theta; None if it is known."""
-        return None if isinstance(self.correlation_time, float) else self.correlation_time
+            return cls(None, theta.add(parameter, "correlation time", of, by), by, np.array(here)[order], times)
+        return cls(float(how), None, by, np.array(here)[order], times)
 
     def correlation_times(self, theta: FloatArray) -> FloatArray:
         """Return T, (n, 1), at theta (n, n_parameters), but at least a value at which scores are independent."""
-        column = self.column()
+        column = self.column
         found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
         return np.maximum(found, _LEAST * np.diff(self.times).min())
 
@@ -128,7 +127,7 @@ class InTime:
 
         The ratio includes the Jacobian of log T. The step sizes are random, because T may be known well or badly.
         """
-        column, n = self.column(), len(theta)
+        column, n = self.column, len(theta)
         if column is None:
             return theta, np.zeros(n)
         p, found = parameters[column], theta.copy()
@@ -234,7 +233,7 @@ class ScoresInTime:
     @property
     def columns(self) -> tuple[int, ...]:
         """Indices in theta of the correlation times that are inferred."""
-        return tuple(column for _, one in self._each if (column := one.column()) is not None)
+        return tuple(column for _, one in self._each if (column := one.column) is not None)
 
     @property
     def times(self) -> set[str]:
@@ -261,7 +260,7 @@ class ScoresInTime:
         for k, one in self._each:
             of_one, by_score[:, one.order, k], by_time = one.log_density(theta, z[:, one.order, k])
             value[:, one.order] += of_one
-            by_columns += [] if one.column() is None else [by_time]
+            by_columns += [] if one.column is None else [by_time]
         return value, by_score, np.stack(by_columns, axis=1) if by_columns else np.zeros((len(z), 0))
 
     def precision(self, theta: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.base import Normal, Prior
+from fmu.posterior.priors.base import Normal, Prior, prior_in
 from fmu.types import BoolArray, FloatArray, IntArray
 
 
@@ -50,10 +50,10 @@ class Covariate:
         values, columns, is_inferred = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
         for t, test in enumerate(tests):
             given = test.covariates[name]
-            prior = Normal(float(known.std(ddof=1)), mean=mean) if given is None else given
-            is_inferred[t] = isinstance(prior, Prior)
-            values[t] = middle_of(prior)
-            if isinstance(prior, Prior):
+            given = Normal(float(known.std(ddof=1)), mean=mean) if given is None else given
+            prior, values[t] = prior_in(given), middle_of(given)
+            is_inferred[t] = prior is not None
+            if prior is not None:
                 columns[t] = add(Parameter(f"{name} [{test.name}]", float(values[t]), prior=prior), test.name)
         columns[~is_inferred] = columns[is_inferred][0] if is_inferred.any() else 0
         # the mean of all tests: a missing value is at the mean of the others
@@ -89,7 +89,7 @@ def find_mistakes_of_covariate(name: str, of: str, tests: Sequence[Test]) -> lis
     uniform = [
         f"tests.{t}.covariates.{name}: must have a distribution without bounds, as fmu.Normal (got Uniform)"
         for t, test in enumerate(tests)
-        if isinstance(x := test.covariates[name], Prior) and x.needs_bounds
+        if (prior := prior_in(test.covariates[name])) is not None and prior.needs_bounds
     ]
     if uniform:
         return uniform

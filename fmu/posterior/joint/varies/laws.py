@@ -16,7 +16,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import given
 from fmu.posterior.joint.varies.covariates import Covariate
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.base import Prior
+from fmu.posterior.priors.base import Prior, prior_in
 from fmu.types import FloatArray, Plain
 
 Add = Callable[[Parameter, str], int]
@@ -163,38 +163,47 @@ class PiecewiseLinear(Law):
     kinks: Sequence[float] | Prior
 
     def __post_init__(self) -> None:
-        if isinstance(self.kinks, Prior):
+        if self._prior_of_kink is not None:
             return
-        object.__setattr__(self, "kinks", tuple(map(float, self.kinks)))
-        if not self.kinks or any(b <= a for a, b in pairwise(self.kinks)):
-            raise ArgumentError("kinks", "must be one value or several in ascending order", list(self.kinks))
+        object.__setattr__(self, "kinks", self._known_kinks)
+        if not self._known_kinks or any(b <= a for a, b in pairwise(self._known_kinks)):
+            rule = "must be one value or several in ascending order"
+            raise ArgumentError("kinks", rule, list(self._known_kinks))
+
+    @property
+    def _prior_of_kink(self) -> Prior | None:
+        return prior_in(self.kinks)
+
+    @property
+    def _known_kinks(self) -> tuple[float, ...]:
+        return () if isinstance(self.kinks, Prior) else tuple(map(float, self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
         """Return a list of messages on kinks outside the range of the tests."""
         rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
-        if isinstance(self.kinks, Prior):
-            without = not np.isfinite(self.kinks.log_mass(low, high))
+        if self._prior_of_kink is not None:
+            without = not np.isfinite(self._prior_of_kink.log_mass(low, high))
             return [f"slopes.{of}: {rule} (got a prior without probability there)"] if without else []
-        return [f"slopes.{of}: {rule} (got {given(at)})" for at in self.kinks if not low < at < high]
+        return [f"slopes.{of}: {rule} (got {given(at)})" for at in self._known_kinks if not low < at < high]
 
     def bind(self, of: str, covariate: Covariate, add: Add) -> PiecewiseEffect:
         """Add the slope of each piece, and an inferred kink, to theta; return the effect."""
-        ends = ["kink"] if isinstance(self.kinks, Prior) else [f"{given(at)}" for at in self.kinks]
+        prior = self._prior_of_kink
+        ends = ["kink"] if prior is not None else [f"{given(at)}" for at in self._known_kinks]
         pieces = [f"below {ends[0]}", *(f"from {a} to {b}" for a, b in pairwise(ends)), f"above {ends[-1]}"]
         names = (f"{of} per {covariate.name} {piece}" for piece in pieces)
         columns = [add(slope(name, self.prior), "slope") for name in names]
-        if not isinstance(self.kinks, Prior):
-            return PiecewiseEffect(tuple(columns), tuple(self.kinks))
+        if prior is None:
+            return PiecewiseEffect(tuple(columns), self._known_kinks)
         low, high = float(covariate.values.min()), float(covariate.values.max())
-        kink = Parameter(
-            f"{of} kink in {covariate.name}", self.kinks.median_within(low, high), low, high, self.kinks
-        )
+        kink = Parameter(f"{of} kink in {covariate.name}", prior.median_within(low, high), low, high, prior)
         columns.append(add(kink, "kink"))
         return PiecewiseEffect(tuple(columns), None)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""
-        kinks: Plain = self.kinks.as_dict() if isinstance(self.kinks, Prior) else [float(at) for at in self.kinks]
+        prior = self._prior_of_kink
+        kinks: Plain = list(self._known_kinks) if prior is None else prior.as_dict()
         return {"law": "piecewise-linear", "prior": self.prior.as_dict(), "kinks": kinks}
 
 
@@ -229,6 +238,8 @@ def slope(name: str, prior: Prior) -> Parameter:
     return Parameter(name, float(np.clip(0.0, *prior.support)), prior=prior)
 
 
-def law_of(how: Prior | Law) -> Law:
-    """Return the law; a prior means a straight line with this prior of its slope."""
+def law_of(how: Prior | Law | str) -> Law | None:
+    """Return the law; a prior means a straight line with this prior of its slope, a name no law."""
+    if isinstance(how, str):
+        return None
     return Polynomial([how]) if isinstance(how, Prior) else how

@@ -16,7 +16,7 @@ from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups, find_mistakes_of_sds
 from fmu.posterior.joint.varies.truncated_normal import TruncatedFamily
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.base import Normal, Prior
+from fmu.posterior.priors.base import Normal, Prior, settings_of
 from fmu.posterior.priors.one_sided import HalfNormal
 from fmu.types import Plain, Positive
 
@@ -156,6 +156,6 @@ class Population(Varies):
             "sd": None if self.sd is None else self.sd.as_dict(),
             **({} if self.between is None else {"between": self.between.as_dict()}),
             **({"sd_by_group": True} if self.sd_by_group else {}),
-            **({} if how is None else {"correlation_time": how.as_dict() if isinstance(how, Prior) else how}),
+            **({} if how is None else {"correlation_time": settings_of(how)}),
             **({"by": self.by} if self.by else {}),
         }

@@ -109,17 +109,19 @@ class Trends:
         self._names = [p.name for p in structural]
         self._slopes, self._theta = slopes, theta
         self._laws = {
-            (name, covariate): law_of(how)
+            (name, covariate): law
             for name, by in slopes.items()
             for covariate, how in by.items()
-            if not isinstance(how, str)
+            if (law := law_of(how)) is not None
         }
         self._effects: dict[tuple[str, str], OnCovariate] = {}
 
     def add_to(self, of: InTests, name: str) -> InTests:
         """Return the structural parameter `name`, given without trends, with its trends; itself if it has none."""
         by = self._slopes.get(name, {})
-        effects = tuple(self._effect(how if isinstance(how, str) else name, key) for key, how in by.items())
+        effects = tuple(
+            self._effect(name if (name, key) in self._laws else str(how), key) for key, how in by.items()
+        )
         return Trend(of, effects) if effects else of
 
     def _effect(self, owner: str, covariate: str) -> OnCovariate:
@@ -150,8 +152,9 @@ def find_mistakes_of_slopes(slopes: Slopes, names: Sequence[str], tests: Sequenc
         if name not in names:
             found.append(f"slopes: must name parameters among {', '.join(names)} (got {name!r})")
         for covariate, how in by.items():
-            if isinstance(how, str):
-                own = [n for n in names if not isinstance(slopes.get(n, {}).get(covariate, ""), str)]
+            law = law_of(how)
+            if law is None:
+                own = [n for n in names if law_of(slopes.get(n, {}).get(covariate, "")) is not None]
                 if how not in own:
                     among = f", of {', '.join(own)}" if own else ""
                     rule = f"must name a parameter with a law of {covariate} of its own{among}"
@@ -160,7 +163,7 @@ def find_mistakes_of_slopes(slopes: Slopes, names: Sequence[str], tests: Sequenc
             wrong = find_mistakes_of_covariate(covariate, name, tests)
             if not wrong:
                 known = known_values(covariate, tests)
-                wrong = law_of(how).find_mistakes(name, covariate, float(known.min()), float(known.max()))
+                wrong = law.find_mistakes(name, covariate, float(known.min()), float(known.max()))
             found += wrong
     return found
 
@@ -168,6 +171,6 @@ def find_mistakes_of_slopes(slopes: Slopes, names: Sequence[str], tests: Sequenc
 def as_dicts(slopes: Slopes) -> dict[str, Plain]:
     """Return the slopes as dicts of plain Python types."""
     return {
-        name: {key: how if isinstance(how, str) else law_of(how).as_dict() for key, how in by.items()}
+        name: {key: str(how) if (law := law_of(how)) is None else law.as_dict() for key, how in by.items()}
         for name, by in slopes.items()
     }

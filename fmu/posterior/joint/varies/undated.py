@@ -91,10 +91,11 @@ class UndatedDamage(Varies):
         found = [] if self.scatter is None else self.scatter.find_mistakes(name, tests)
         if self.by:
             rule = f"must have {self.by} as a number, which is the time of the damage of {name}"
-            given = [test.covariates.get(self.by) for test in tests]
-            wrong = [t for t, x in enumerate(given) if x is None or isinstance(x, Prior)]
+            wrong = [t for t, test in enumerate(tests) if test.known_covariate(self.by) is None]
             if wrong:
-                return found + [f"tests.{t}.covariates: {rule} (got {given[t]})" for t in wrong]
+                return found + [
+                    f"tests.{t}.covariates: {rule} (got {tests[t].covariates.get(self.by)})" for t in wrong
+                ]
         times = np.unique(self.times(tests))
         if len(times) < _FEWEST:
             rule = f"the date of a damage needs tests at {_FEWEST} times or more"

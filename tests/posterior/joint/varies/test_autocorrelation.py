@@ -135,7 +135,9 @@ def test_the_moves_given_the_values_and_given_the_scores_keep_the_prior():
 
 def test_parts_hold_no_two_tests_that_depend_on_each_other_directly():
     every, without = np.arange(7), np.array([0, 1, 2, 4, 5, 6])
-    in_time = ScoresInTime(tuple(InTime(2.0, "", order, order.astype(float)) for order in (every, without)), 7)
+    in_time = ScoresInTime(
+        tuple(InTime(2.0, None, "", order, order.astype(float)) for order in (every, without)), 7
+    )
     assert np.sum(in_time.parts, axis=0).tolist() == [1] * 7
     for one in in_time.every:
         for part in in_time.parts:
