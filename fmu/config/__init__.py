@@ -9,7 +9,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +21,7 @@ from fmu.config.mistakes import of_validation, place
 from fmu.formats.files import why_no_file
 from fmu.formats.shown import quote
 from fmu.numbers import typed
+from fmu.types import list_in, mapping_in, number_in
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -95,10 +96,11 @@ def read(path: Path) -> ProblemFile:
     beyond = list(_out_of_size(content))
     if beyond:
         raise ConfigurationError(path.name, beyond)
-    tables = content.get("error")
-    if isinstance(tables, list):
-        known = [with_present_names(one, OLD_NAMES) if isinstance(one, dict) else one for one in tables]
-        content["error"] = known
+    tables = list_in(content.get("error"))
+    if tables is not None:
+        content["error"] = [
+            one if mapping_in(one) is None else with_present_names(one, OLD_NAMES) for one in tables
+        ]
     try:
         return ProblemFile.model_validate(content)
     except ValidationError as error:
@@ -139,13 +141,16 @@ def _out_of_size(content: Mapping[str, object]) -> Iterator[ArgumentError]:
     ahead: list[tuple[tuple[int | str, ...], object]] = [((), content)]
     while ahead:
         where, value = ahead.pop()
-        if isinstance(value, dict | list):
+        table, several, number = mapping_in(value), list_in(value), number_in(value)
+        if table is not None or several is not None:
             if len(where) > DEEPEST:
                 yield ArgumentError(place(where), f"must not be nested more than {DEEPEST} tables and lists deep")
                 continue
-            items = value.items() if isinstance(value, dict) else enumerate(value)
+            items: Iterable[tuple[int | str, object]] = (
+                enumerate(several or []) if table is None else table.items()
+            )
             ahead += [((*where, key), inner) for key, inner in reversed(list(items))]
-        elif isinstance(value, float | int) and _is_out_of_size(value):
+        elif number is not None and _is_out_of_size(number):
             rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
             yield ArgumentError(place(where), rule, quote(value))
 

@@ -39,7 +39,7 @@ from fmu.formats.shown import quote
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.types import Dof, FloatArray
+from fmu.types import Dof, FloatArray, list_in
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A number, or nan for a mode that a test missed."""
@@ -128,8 +128,9 @@ class MeasurementTable(TomlTable):
     @field_validator("covariance")
     @classmethod
     def _is_covariance(cls, value: list[list[float]] | str | None) -> list[list[float]] | str | None:
-        if isinstance(value, list):
-            checked_covariance(value, len(value), "")
+        matrix = list_in(value)
+        if matrix is not None:
+            checked_covariance(matrix, len(matrix), "")
         return value
 
     @model_validator(mode="after")

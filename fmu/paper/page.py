@@ -11,6 +11,7 @@ from fmu.paper.findings import CLOSE_LENGTHS, SEPARATED, Findings, judge, statem
 from fmu.paper.plan import PAPER_SAMPLERS
 from fmu.report.plots import TITLES
 from fmu.tables import markdown_table
+from fmu.types import list_in, mapping_in, number_in
 
 ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
 
@@ -317,15 +318,16 @@ def settings(findings: Findings) -> str:
 
 def _count(value: Any) -> Any:
     """Return a setting, or the number of mixture components in words, since their list is too long to show."""
-    is_long = isinstance(value, list) and any(isinstance(one, dict) for one in value)
+    is_long = any(mapping_in(one) is not None for one in list_in(value) or [])
     return f"{len(value)}, at the maxima" if is_long else value
 
 
 def _brief(name: str, value: Any) -> list[str]:
     """Return a setting in words, with the values of numbers and the shapes of arrays."""
-    if isinstance(value, dict):
-        return [words for key, item in value.items() for words in _brief(key, item)]
-    if isinstance(value, list):
-        shape = f"{len(value)} × {len(value[0])}" if value and isinstance(value[0], list) else str(len(value))
-        return [f"{name}: {shape} numbers"]
-    return [f"{name} {significant(value, 3)}"] if isinstance(value, int | float) else []
+    table, several, number = mapping_in(value), list_in(value), number_in(value)
+    if table is not None:
+        return [words for key, item in table.items() for words in _brief(key, item)]
+    if several is not None:
+        row = list_in(several[0]) if several else None
+        return [f"{name}: {len(several) if row is None else f'{len(several)} × {len(row)}'} numbers"]
+    return [] if number is None else [f"{name} {significant(number, 3)}"]

@@ -11,7 +11,7 @@ from fmu.numbers import MISSING, apart, given, significant, with_sd
 from fmu.posterior.frf.assumptions import NO_DATA, assumptions_on_frfs
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import outside_bounds
-from fmu.types import FloatArray
+from fmu.types import FloatArray, mapping_in
 
 Inferred = Mapping[str, tuple[float, float]]
 """Posterior mean and standard deviation of each inferred standard deviation, by the name of the parameter."""
@@ -69,7 +69,7 @@ def assumptions(
     Assumptions or None
         None if `problem` is not the configuration of an updating problem.
     """
-    if not isinstance(problem, Mapping) or not {"likelihood", "parameters", "data"} <= set(problem):
+    if not {"likelihood", "parameters", "data"} <= set(mapping_in(problem) or ()):
         return None
     likelihood, data = problem["likelihood"], problem["data"]
     responses, used = likelihood.get("responses", ()), data.get("use", ())
@@ -245,12 +245,13 @@ def frequency_sd(
 
 def _pairing(problem: Mapping[str, Any]) -> str:
     """Return the sentence that states how computed modes are paired with the measured modes."""
-    model, data, likelihood = problem["model"], problem["data"], problem["likelihood"]
-    if isinstance(model, Mapping) and "configurations" in model:  # several tests, with the same kind of pairing
-        model = model["configurations"][0]["model"]
+    data, likelihood = problem["data"], problem["likelihood"]
+    model = mapping_in(problem["model"]) or {}
+    if "configurations" in model:  # several tests, with the same kind of pairing
+        model = mapping_in(model["configurations"][0]["model"]) or {}
     if likelihood.get("error") == "modal-residual":
         return "The modal residual compares no computed modes, and pairs none."
-    if not isinstance(model, Mapping) or "pairing" not in model:
+    if "pairing" not in model:
         return "The model itself pairs its modes with the measured ones."
     if model["pairing"] in ("IndexPairing", "index"):
         order = "in the sorted spectrum" if model["pairing"] == "IndexPairing" else "in the order of the function"

@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.types import AnyArray
+from fmu.types import AnyArray, mapping_in
 
 _FEW = 32
 """Largest number of entries of an array that is written as JSON."""
@@ -50,8 +49,9 @@ def pack(content: object) -> str:
 
 def _plain(content: object, arrays: list[bytes]) -> object:
     """Return content as JSON types, with its longer arrays appended to `arrays`."""
-    if isinstance(content, Mapping):
-        return {str(key): _plain(value, arrays) for key, value in content.items()}
+    table = mapping_in(content)
+    if table is not None:
+        return {str(key): _plain(value, arrays) for key, value in table.items()}
     if isinstance(content, (list, tuple)):
         return [_plain(value, arrays) for value in content]
     if isinstance(content, np.ndarray):

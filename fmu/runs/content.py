@@ -16,7 +16,7 @@ from fmu.durable_files import DamagedError, add_checksum, digest, payload_of
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
-from fmu.types import AnyArray
+from fmu.types import AnyArray, mapping_in
 
 TITLE = "fmu state 3"
 _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
@@ -194,8 +194,9 @@ def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object
     plain: dict[str, object] = {}
     arrays: dict[str, AnyArray] = {}
     for name, value in tree.items():
-        if isinstance(value, Mapping):
-            plain[name], inner = _apart(value, f"{path}{name}/")
+        table = mapping_in(value)
+        if table is not None:
+            plain[name], inner = _apart(table, f"{path}{name}/")
             arrays |= inner
         elif isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
             arrays[path + name] = np.asarray(value)

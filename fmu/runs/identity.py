@@ -12,6 +12,7 @@ from typing import Any
 
 from fmu.analysis.trace.provenance import canonical_json, configuration_hash, versions
 from fmu.durable_files import DamagedError, add_checksum, payload_of, write_durably
+from fmu.types import list_in, mapping_in
 
 TITLE = "fmu run 1"
 FILE = "run"
@@ -89,11 +90,14 @@ def arithmetic() -> str:
 
 def _differences(there: object, here: object, where: str = "") -> Iterator[str]:
     """Yield the differences between two configurations, in words."""
-    if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
-        there, here = dict(enumerate(there)), dict(enumerate(here))
-    if isinstance(there, Mapping) and isinstance(here, Mapping):
-        for key in dict.fromkeys((*there, *here)):
-            yield from _differences(there.get(key), here.get(key), f"{where}.{key}" if where else str(key))
+    before, after = list_in(there), list_in(here)
+    tables = mapping_in(there), mapping_in(here)
+    if before is not None and after is not None and len(before) == len(after):
+        tables = {str(i): x for i, x in enumerate(before)}, {str(i): x for i, x in enumerate(after)}
+    if tables[0] is not None and tables[1] is not None:
+        for key in dict.fromkeys((*tables[0], *tables[1])):
+            both = tables[0].get(key), tables[1].get(key)
+            yield from _differences(*both, f"{where}.{key}" if where else str(key))
     elif json.dumps(there) != json.dumps(here):  # as JSON, NaN equals NaN
         yield f"{where} {_short(there)} there, {_short(here)} here"
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from annotated_types import Ge
 from numpy.typing import ArrayLike
 
 from fmu.arguments import Numbers, require
-from fmu.types import FloatArray, Positive
+from fmu.types import FloatArray, Positive, mapping_in
 
 if TYPE_CHECKING:
     from fmu.samplers.kernel import Sampler
@@ -122,8 +121,9 @@ def _make_plain(value: object) -> object:
     """Return a JSON-able equivalent of a value that JSON cannot represent."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
-    if isinstance(value, Mapping):
-        return dict(value)
+    table = mapping_in(value)
+    if table is not None:
+        return dict(table)
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
 
 

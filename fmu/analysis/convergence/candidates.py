@@ -14,6 +14,7 @@ import numpy as np
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.trace.reading import array_of, has
 from fmu.samplers.mixture.kernel import CANDIDATE
+from fmu.types import mapping_in
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -70,7 +71,7 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
     if not has(trace, "sample_stats", CANDIDATE):
         return False
     components = [mixture.get("components") for mixture in _mixtures_of(trace)]
-    return any(isinstance(one, dict) and one.get("type") == "CurvedMixture" for one in components)
+    return any((mapping_in(one) or {}).get("type") == "CurvedMixture" for one in components)
 
 
 def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:

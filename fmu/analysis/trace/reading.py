@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.types import AnyArray, BoolArray, FloatArray
+from fmu.types import AnyArray, BoolArray, FloatArray, mapping_in
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,7 +56,7 @@ def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
     """Return `UpdatingProblem.configuration` of the problem, or the stored description of another density."""
     found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
-    return found if isinstance(found, dict) else {}
+    return dict(mapping_in(found) or {})
 
 
 def with_group(trace: xr.DataTree, group: str, dataset: xr.Dataset) -> xr.DataTree:

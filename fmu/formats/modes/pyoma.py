@@ -14,7 +14,7 @@ tests/formats/modes/ambient.py, ``Phi_std`` is 6 to 65 times the scatter of shap
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from fmu.formats.modes.measured_modes import (
     real_shapes,
 )
 from fmu.formats.shown import in_words, quote
-from fmu.types import AnyArray, FloatArray
+from fmu.types import AnyArray, FloatArray, mapping_in
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Phi_std", "Xi")
 FIXED = 1e-3
@@ -219,7 +219,8 @@ def _parts(result: object) -> dict[str, ArrayLike | None]:
 
 
 def _attribute(result: object, name: str) -> ArrayLike | None:
-    return result.get(name) if isinstance(result, Mapping) else getattr(result, name, None)
+    table = mapping_in(result)
+    return getattr(result, name, None) if table is None else table.get(name)
 
 
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:

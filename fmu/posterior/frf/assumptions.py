@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fmu.numbers import given, names_in_words, significant, whole
+from fmu.types import list_in
 
 _PLURAL = {"receptance": "receptances", "mobility": "mobilities", "accelerance": "accelerances"}
 NO_DATA = (
@@ -67,9 +68,9 @@ def _damping(one: Mapping[str, Any]) -> str:
     """Return a description of a damping model, with its values or parameters."""
     match one["damping"]:
         case "ModalDamping":
-            ratios = one["ratios"]
-            if not isinstance(ratios, list):
-                return f"one ratio {_value(ratios)} of all modes"
+            ratios = list_in(one["ratios"])
+            if ratios is None:
+                return f"one ratio {_value(one['ratios'])} of all modes"
             last = ", the last one for all higher modes" if len(ratios) > 1 else ""
             return f"modal ratios {names_in_words([_value(ratio) for ratio in ratios])}{last}"
         case "RayleighDamping":

@@ -17,7 +17,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
-from fmu.types import NotNegative, Plain
+from fmu.types import NotNegative, Plain, mapping_in
 
 
 @check_arguments
@@ -128,7 +128,8 @@ def inferred_in(given: DampingModel | Sequence[DampingModel]) -> list[Parameter]
     found: list[Parameter] = []
     for one in as_list(given):
         for value in vars(one).values():
-            parts = value.values() if isinstance(value, Mapping) else as_list(value)
+            table = mapping_in(value)
+            parts = as_list(value) if table is None else table.values()
             found += [p for p in map(parameter_in, parts) if p is not None and p not in found]
     return found
 

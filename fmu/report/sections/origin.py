@@ -14,6 +14,7 @@ from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Text
 from fmu.report.run import ReportedRun
+from fmu.types import list_in, mapping_in, number_in
 
 _LONG = 60
 """Largest number of characters of a list of settings in a table cell."""
@@ -165,11 +166,12 @@ def settings(run: ReportedRun) -> PageSection:
 
 def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
     """Yield the name and text of each entry of nested settings; long lists are described by size and range."""
-    if isinstance(value, dict) and value:
-        for key, inner in value.items():
+    table, several = mapping_in(value), list_in(value) or []
+    if table:
+        for key, inner in table.items():
             yield from _flat(inner, f"{name}, {_plain(key)}" if name else _plain(key))
-    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
-        for k, one in enumerate(value, 1):
+    elif any(mapping_in(one) is not None for one in several):
+        for k, one in enumerate(several, 1):
             yield from _flat(one, f"{name} {k}")
     else:
         yield name, _in_words(value)
@@ -187,15 +189,17 @@ def _in_words(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return significant(value)
-    if not isinstance(value, list):
+    several = list_in(value)
+    if several is None:
         return str(value)
-    if all(isinstance(row, list) for row in value):
-        shape = f"{len(value)} × {len(value[0])} matrix"
-        return shape if len({len(row) for row in value}) == 1 else f"{len(value)} lists"
-    text = ", ".join(map(_in_words, value))
+    rows = [row for row in map(list_in, several) if row is not None]
+    if len(rows) == len(several):
+        shape = f"{len(rows)} × {len(rows[0])} matrix"
+        return shape if len({len(row) for row in rows}) == 1 else f"{len(rows)} lists"
+    text = ", ".join(map(_in_words, several))
     if len(text) <= _LONG:
         return text
-    numbers = [x for x in value if isinstance(x, int | float)]
-    if len(numbers) < len(value) or isinstance(value[0], bool):
-        return f"{len(value)} values: {text[: _LONG - 1]}…"
-    return f"{len(value)} values, {significant(min(numbers))} to {significant(max(numbers))}"
+    numbers = [x for x in map(number_in, several) if x is not None]
+    if len(numbers) < len(several) or isinstance(several[0], bool):
+        return f"{len(several)} values: {text[: _LONG - 1]}…"
+    return f"{len(several)} values, {significant(min(numbers))} to {significant(max(numbers))}"
