@@ -19,7 +19,7 @@ from fmu.config.tables import (
     ParameterName,
     Positive,
     TomlTable,
-    built,
+    build_value,
     kind_of,
 )
 from fmu.fem.frame.updates import PROPERTIES
@@ -134,7 +134,7 @@ class PopulationTable(TomlTable):
     def build(self) -> Population:
         """Return the population that the table describes."""
         sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
-        how = built(self.correlation_time)
+        how = build_value(self.correlation_time)
         return Population(self.distribution, sd, between, self.sd_by_group, how, self.by or "")
 
 
@@ -153,7 +153,7 @@ class OutliersTable(TomlTable):
 
     def build(self) -> Outliers:
         """Return the model of outliers that the table describes."""
-        return Outliers(built(self.share), self.scale)
+        return Outliers(build_value(self.share), self.scale)
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:
@@ -193,7 +193,7 @@ class PiecewiseLinearTable(TomlTable):
 
     def build(self) -> PiecewiseLinear:
         """Return the law that the table describes."""
-        return PiecewiseLinear(self.prior.build(), built(self.kinks))
+        return PiecewiseLinear(self.prior.build(), build_value(self.kinks))
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:

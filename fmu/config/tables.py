@@ -99,7 +99,7 @@ def kind_of(value: object) -> str | None:
     return next((kind for cls, kind in _KIND_OF.items() if isinstance(value, cls)), None)
 
 
-def built(value: Any) -> Any:
+def build_value(value: Any) -> Any:
     """Return the object that a table describes; any other value of a key as it is."""
     return value.build() if isinstance(value, Declared) else value
 

@@ -16,7 +16,7 @@ from fmu.config.frf.errors import FRFTable
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable, PriorTable
-from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, built, kind_of, reading
+from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, build_value, kind_of, reading
 from fmu.formats.modes.csv import Campaign, read_campaign
 from fmu.formats.modes.measured_modes import MeasuredModes, ModesError, Place, Sensors
 from fmu.posterior.data.modal_data import ModalData
@@ -60,7 +60,7 @@ CovariateValue = Annotated[
 
 def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
     """Return a covariate in the form that `fmu.Test` takes; None if it is missing."""
-    found: float | Prior | None = None if given == "missing" else built(given)
+    found: float | Prior | None = None if given == "missing" else build_value(given)
     return found
 
 

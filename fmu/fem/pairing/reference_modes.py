@@ -1,4 +1,4 @@
-"""Elastic modes of a model before updating, which stand for measured shapes, and its rigid-body modes."""
+"""Reference shapes for a pairing from a model before updating, and the number of its rigid-body modes."""
 
 from __future__ import annotations
 
