@@ -28,6 +28,8 @@ _SAME = 1e-3
 _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
 _MOST_POLISHED, _FIRST = 8, 16
+_AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
+"""With a discrepancy: starts with it, steps, nats below the highest end, and its sizes relative to the start."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,9 @@ def local_maxima(
     at a kink, the best eight continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For other errors, every start
     ascends by L-BFGS-B. Two results count as one maximum if no valley separates them: on the straight line between
     the two points, the log-probability is nowhere more than 0.1 below the lower of the two values.
+
+    If the model has a discrepancy, the starts ascend without it first, and the highest eight ends go on with it.
+    Of the starts 64 ascend with it at once (`_starts_with_discrepancy`).
 
     Parameters
     ----------
@@ -82,12 +87,15 @@ def local_maxima(
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
     with phase("search", len(points)):
-        easier = problem.likelihood.easier()
+        n_sizes, at_once = problem.likelihood.n_sizes, points[:_AT_ONCE]
+        easier = problem.likelihood.easier() if n_sizes is None or np.isinf(most_solves) else []
         begun = list[FloatArray]()
         for likelihood in easier:
             begun.append(points := _ascend_roughly(problem.with_likelihood(likelihood), points))
         # an easier likelihood may have lost a maximum: the ends of all of them are starts
         points = np.concatenate(begun) if begun else points
+        if easier and n_sizes is not None:
+            points = _starts_with_discrepancy(problem, scaled, at_once, points, n_sizes)
         return maxima_from(problem, scaled, points, most_solves)
 
 
@@ -97,6 +105,41 @@ def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
     ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH)
     found = leaders(ends)[0]
     return found[:_MOST_POLISHED] if len(found) else points
+
+
+def _starts_with_discrepancy(
+    problem: Posterior, scaled: ScaledDensity, at_once: FloatArray, ends: FloatArray, n_sizes: int
+) -> FloatArray:
+    """Return the highest scaled points (m, ndim) that few steps with the discrepancy of a model reach.
+
+    Near crossings of modes its variances change too fast for Gauss–Newton steps, and most ascents never arrive.
+    They are given up after `_MOST_STEPS` if they are `_HOPELESS` nats below the highest one that has arrived. If
+    none of `ends` leads to a maximum, they are tried again with a tenth of the discrepancy: the smaller it is, the
+    closer are its maxima.
+
+    Parameters
+    ----------
+    at_once : ndarray, shape (k, ndim)
+        Scaled points that ascend with the discrepancy from the first step.
+    ends : ndarray, shape (l, ndim)
+        Scaled ends of ascents without it.
+    n_sizes : int
+        Number of inferred sizes of the discrepancy, the last parameters.
+    """
+    quadratic, is_size = GaussNewton(problem, scaled), np.arange(problem.ndim) >= problem.ndim - n_sizes
+    theta, reached = scaled.to_theta(ends), list[Ascent]()
+    for size in _SIZES:
+        begun = scaled.to_scaled(np.where(is_size, size * problem.start, theta))
+        points = np.concatenate([np.clip(begun, scaled.lower, scaled.upper), at_once])
+        found = ascend(quadratic, points, scaled.lower, scaled.upper, tolerance=_ROUGH, max_steps=_MOST_STEPS)
+        reached.append(found)
+        if not n_sizes or found.stationary[: len(ends)].any():
+            break
+        at_once = at_once[:0]
+    V, arrived = np.concatenate([e.value for e in reached]), np.concatenate([e.stationary for e in reached])
+    worst = np.min(V[arrived], initial=np.inf) + _HOPELESS
+    chosen = arrived | (worst > V)
+    return np.concatenate([e.position for e in reached])[chosen] if chosen.any() else ends
 
 
 def maxima_from(

@@ -311,7 +311,9 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     from fmu.posterior.ascent import GaussNewton
 
     def of_residuals() -> FloatArray:
-        return GaussNewton(problem)(ScaledDensity(problem).to_scaled(theta)[None])[2][0]
+        scaled = ScaledDensity(problem)
+        scaled.theta_lower, scaled.theta_upper = problem.support  # a scatter of 0 has no density
+        return GaussNewton(problem, scaled)(scaled.to_scaled(theta)[None])[2][0]
 
     if is_rough and problem.likelihood.of_modes:
         return of_residuals(), GAUSS_NEWTON

@@ -18,7 +18,7 @@ from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.model_errors import Change, Linearised, ModelErrors
 from fmu.posterior.discrepancy.modes import ModeErrors
-from fmu.posterior.errors.base import ErrorModel, ErrorTerm
+from fmu.posterior.errors.base import ErrorModel, ErrorTerm, Likelihood
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.noise import numbering
@@ -65,7 +65,8 @@ class DiscrepantLikelihood(ModalLikelihood):
         discrepancies: Sequence[Discrepancy],
         layout: Layout,
     ) -> None:
-        super().__init__(model, data, errors, quantities)
+        self._made_of = (data, errors, quantities)
+        super().__init__(model, *self._made_of)
         for term in self.terms_of:
             if type(term) not in (FrequencyTerm, ShapeTerm):
                 rule = "needs Gaussian errors of frequencies and shapes that are independent from mode to mode"
@@ -79,7 +80,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         of_modes, structure = [one for one in discrepancies if one.kind == "modes"], model.parts[0].structure
         modes = tuple(ModeErrors.of(one, index, self.terms_of, data.sensors, structure) for one in of_modes)
         self.errors = ModelErrors(scatters or (EmbeddedScatter.none(len(layout.structural)),), modes)
-        self.noise = tuple(noise)
+        self.n_sizes, self.noise = len(noise) - len(self.noise), tuple(noise)
         self.error, self.beta, self._fast, self._alone = None, None, None, None
         self.terms_name, self.n_tests, self._bounds = "modes", len(layout.tests), np.array(layout.box())
         labels = [label for test in layout.tests for label in test.data.labels]
@@ -89,6 +90,12 @@ class DiscrepantLikelihood(ModalLikelihood):
             self._alone = ScatteredFrequencies(only, self.errors.scatters)
         if not model.gives_curvature(self.needs_shapes):  # slopes are differenced
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
+
+    def easier(self) -> list[Likelihood]:
+        """Return the likelihood without the discrepancy, of the same parameters."""
+        found = ModalLikelihood(self.model, *self._made_of).using(self.used)
+        found.noise = self.noise
+        return [found]
 
     @property
     def by_frequencies(self) -> bool:
@@ -170,10 +177,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the squared residuals, in standard deviations that include the model's own errors.
-
-        If a mode was measured in several tests, its residuals are conditional on the tests before.
-        """
+        """Return squared residuals given the tests before, in standard deviations with the model's own errors."""
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -187,10 +191,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.n_common > 0 or len(set(self.group[self._used].tolist())) < len(self._used)
 
     def terms_given_others(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density of each datum given all others, (n, n_terms), at theta (n, ndim).
-
-        Leave-one-out cross-validation needs these log-densities if the data of several tests are coupled.
-        """
+        """Return the log-density of each datum given all others, (n, n_terms), at theta (n, ndim)."""
         seen = self.observed(theta)
         found = self.terms_of_observed(seen, theta)
         total = found.sum(axis=1)
@@ -222,8 +223,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return `LatentErrors.given_common` of every mode, and mean and covariance of w, given the used data."""
-        own, common = self._in_hz(seen, theta)
-        (n, m, P), C = own.shape, common.shape[2]
+        (n, m, P), (*_, C) = (x.shape for x in self._in_hz(seen, theta))
         mean, gain, covariance = np.zeros((n, m, P)), np.zeros((n, m, P, C)), np.tile(np.eye(P), (n, m, 1, 1))
         if not len(used):
             return mean, gain, covariance, np.zeros((n, C)), np.tile(np.eye(C), (n, 1, 1))

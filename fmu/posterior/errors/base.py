@@ -264,8 +264,9 @@ class Likelihood:
         Measured frequency response functions, and the same in their tests (`fmu.posterior.frf.likelihood`).
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
-    has_discrepancy, predictions_per_gradient : bool, int
-        Whether the model has errors of its own, and how often a gradient takes the modes and their derivatives.
+    has_discrepancy, predictions_per_gradient, n_sizes : bool, int, int or None
+        Whether the model has errors of its own, how often a gradient takes the modes and their derivatives, and
+        how many inferred sizes the errors of modes have, the last of `noise` (None without such errors).
     """
 
     of_modes: bool = False
@@ -284,6 +285,7 @@ class Likelihood:
     used: IntArray | None = None
     has_discrepancy: bool = False
     predictions_per_gradient: int = 1
+    n_sizes: int | None = None
 
     def using(self, used: IntArray | None) -> Self:
         """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""
