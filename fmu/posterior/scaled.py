@@ -90,7 +90,7 @@ class ScaledDensity:
 
 
 class LogScaledDensity(ScaledDensity):
-    """A log-density in coordinates for ascents: u = (log θ − mean)/sd if a log-normal prior is wider than `WIDE`.
+    """A log-density in coordinates for ascents: u = (log θ − mean)/sd if a log-normal prior is wider than `wide`.
 
     Other coordinates are scaled as in `ScaledDensity`. The density is that of θ, without a Jacobian, so that its
     maxima are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is so wide, all
@@ -106,9 +106,9 @@ class LogScaledDensity(ScaledDensity):
         Mask of the coordinates that are logarithms.
     """
 
-    def __init__(self, problem: Posterior) -> None:
+    def __init__(self, problem: Posterior, wide: float = WIDE) -> None:
         forms = [p.prior.gaussian_form for p in problem.parameters] or [None] * problem.ndim
-        logs = [form if form is not None and form.of_logarithm and form.sd > WIDE else None for form in forms]
+        logs = [form if form is not None and form.of_logarithm and form.sd > wide else None for form in forms]
         self.is_log = np.array([form is not None for form in logs])
         self._mean = np.array([0.0 if form is None else form.mean for form in logs])
         self._sd = np.array([1.0 if form is None else form.sd for form in logs])
@@ -137,6 +137,37 @@ class LogScaledDensity(ScaledDensity):
 def scaled_density(density: LogDensity) -> ScaledDensity:
     """Return the scaled view of a density; the density itself if it is one."""
     return density if isinstance(density, ScaledDensity) else ScaledDensity(density)
+
+
+class LogarithmicDensity:
+    """The posterior of the coordinates u of `LogScaledDensity`, with their Jacobian, for samplers.
+
+    A density of θ with a log-normal prior is skewed, and the density of log θ nearly Gaussian.
+
+    Parameters
+    ----------
+    problem : Posterior
+    """
+
+    def __init__(self, problem: Posterior) -> None:
+        self._of = LogScaledDensity(problem, wide=0.0)
+        self.ndim, self.lower, self.upper = self._of.ndim, self._of.lower, self._of.upper
+        self.to_scaled, self.to_theta = self._of.to_scaled, self._of.to_theta
+        self.solves_per_gradient = self._of.solves_per_gradient
+
+    def log_prob(self, u: FloatArray) -> FloatArray:
+        """Return the log-density, shape (n,), at u (n, ndim), which must lie in the box."""
+        return np.asarray(self._of.log_prob(u) + self._log_jacobian(u))
+
+    def log_prob_and_grad(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-density at u, and its gradient with respect to u."""
+        log_prob, gradient = self._of.log_prob_and_grad(u)
+        theta = self.to_theta(u)
+        of_jacobian = self._of.stretch(theta) / np.where(self._of.is_log, theta, np.inf)
+        return log_prob + self._log_jacobian(u), gradient + of_jacobian
+
+    def _log_jacobian(self, u: FloatArray) -> FloatArray:
+        return np.asarray(np.sum(np.log(self._of.stretch(self.to_theta(u))), axis=-1))
 
 
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:

@@ -7,7 +7,7 @@ import fmu
 from fmu.fem.surrogate.coordinates import FARTHEST, Coordinates
 from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.maxima import local_maxima
-from fmu.posterior.scaled import LogScaledDensity, ScaledDensity
+from fmu.posterior.scaled import LogarithmicDensity, LogScaledDensity, ScaledDensity
 from tests.gradients import assert_gradient
 from tests.models import portal
 
@@ -46,6 +46,19 @@ def test_gradient_and_curvature_in_logarithms(two_springs):
     stretch = scaled.stretch(theta)[0]
     assert hessian[0] - information * np.outer(stretch, stretch) == pytest.approx(np.eye(3), abs=1e-3)
     assert value == -scaled.log_prob(u)
+
+
+def test_the_density_of_logarithms_has_their_jacobian(two_springs):
+    density, logs = LogarithmicDensity(two_springs), LogScaledDensity(two_springs)
+    u = np.array([[0.3, -0.4, 0.8], [0.6, 1.0, -0.2]])
+    theta, step = density.to_theta(u), 1e-6
+    moved = [density.to_theta(u + step * e) - density.to_theta(u - step * e) for e in np.eye(3)]
+    volume = np.prod([x[:, k] / (2.0 * step) for k, x in enumerate(moved)], axis=0)
+    assert density.log_prob(u) == pytest.approx(two_springs.log_prob(theta) + np.log(volume), abs=1e-6)
+    value, gradient = density.log_prob_and_grad(u)
+    assert value == pytest.approx(density.log_prob(u))
+    assert_gradient(gradient, density.log_prob, u, 1e-5, rtol=1e-4)
+    assert density.to_scaled(theta) == pytest.approx(logs.to_scaled(theta))
 
 
 def test_most_starts_lead_to_a_maximum_that_matters(two_springs):

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
-from fmu.analysis.held_out.own_run import draws_without
+from fmu.analysis.held_out.own_run import draws_without, is_in_funnel
 from fmu.analysis.held_out.prediction import NEITHER, Draws, HeldOut, with_mode
 from fmu.analysis.held_out.refit import (
     ACCEPTED,
@@ -80,10 +80,9 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
         The problem that was sampled. If given, the table is computed again, however long this takes. A mode for
-        which importance sampling gives no reliable prediction gets a separate run of the mixture. Without a
-        problem, the stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are
-        known. A hierarchical posterior, which has parameters for every test, is never refitted: its draws are
-        weighted.
+        which importance sampling gives no reliable prediction gets draws of its own. Without a problem, the
+        stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
+        hierarchical posterior, which has parameters for every test, is never refitted: its draws are weighted.
 
     Returns
     -------
@@ -139,8 +138,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         Largest number of solves for updating without modes. For 400 or more draws of a model with derivatives, it
         defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Modes
         with unreliable weights are left out beyond this limit if one takes at most 2.5 seconds and all of them at
-        most 15. With ``inf``, every mode whose refit is unreliable gets a separate run. A hierarchical posterior
-        has too many parameters for refits, and `most` has no effect.
+        most 15. With ``inf``, every mode whose refit is unreliable gets draws of its own. A hierarchical
+        posterior has too many parameters for refits, and `most` has no effect.
     """
     import xarray as xr
 
@@ -169,7 +168,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
     if most == np.inf:
-        found |= _by_runs_of_their_own(problem, [k for k in doubtful if use[k] and k not in found])
+        found |= _by_runs_of_their_own(problem, [k for k in doubtful if use[k] and k not in found], theta)
     # weights with a Pareto k of 0.4 were wrong by 0.4 nats: used only if a refit takes too long
     smoothed = smooth_weights(trace) if len(found) < len(use) else {}
     good = {label for label, one in smoothed.items() if one.is_good}
@@ -210,11 +209,11 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     """Return the predictions after updating without each mode, by index, within the limit of solves.
 
     All modes are first left out with the same candidates. Modes that these do not cover well are then left out
-    with separate candidates. The results are cached: they depend only on the problem and not on the draws, so that
-    one computation serves all samplers.
+    with separate candidates. For a funnel no Gaussians are good candidates, and nothing is returned. The results
+    are cached: they depend only on the problem and not on the draws, so that one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
-    if modes and most >= SOLVES:
+    if modes and most >= SOLVES and not is_in_funnel(problem):
         known = _known_of(problem).rows
         with phase("leaving modes out", len(modes)) as under_way:
             with suppress(np.linalg.LinAlgError):  # a missing number must not stop the run
@@ -233,22 +232,25 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     return found
 
 
-def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, HeldOut]:
-    """Return the predictions from separate runs without each mode, by index, for the runs that converge."""
+def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: FloatArray) -> dict[int, HeldOut]:
+    """Return the predictions from draws without each mode, by index, as far as these are reliable.
+
+    They begin with draws of the posterior with all modes, (n, ndim), SI units.
+    """
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
         for k in modes:
-            row = _by_own_run(problem, k)
+            row = _by_own_run(problem, k, near)
             if row is not None:
                 found[k] = row
             under_way.advance()
     return found
 
 
-def _by_own_run(problem: UpdatingProblem, k: int) -> HeldOut | None:
-    """Return the prediction of mode `k` from a separate run without this mode; None if it does not converge."""
+def _by_own_run(problem: UpdatingProblem, k: int, near: FloatArray) -> HeldOut | None:
+    """Return the prediction of mode `k` from draws without this mode; None if they are not reliable."""
     other = _without(problem, k)
-    found = draws_without(other, _SEED)
+    found = draws_without(other, near, _SEED)
     if found is None:
         return None
     theta = found.reshape(-1, problem.ndim)

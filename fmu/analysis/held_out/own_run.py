@@ -1,39 +1,59 @@
-"""Draws of the posterior without a mode from a separate run, for modes with unreliable importance weights."""
+"""Draws of the posterior without a mode where Gaussians are poor proposals: by fitted candidates, or by a run."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.analysis.convergence.effective import ess_bulk, ess_tail, rhat
+from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.convergence.remedies import RHAT_LIMIT, required_ess
-from fmu.analysis.maxima.search import find_map
-from fmu.analysis.maxima.starts import choose_starts, components
+from fmu.analysis.held_out.together import walk
+from fmu.analysis.maxima.results import NEGLIGIBLE
+from fmu.analysis.maxima.search import find_map, is_searchable
+from fmu.analysis.maxima.starts import are_in_funnel, choose_starts, components
+from fmu.posterior.scaled import LogarithmicDensity, ScaledDensity
+from fmu.samplers.kernel import Target
 from fmu.samplers.loop.run import Run
+from fmu.samplers.mixture.curved import fit_curved
+from fmu.samplers.mixture.importance import effective_size, resample
 from fmu.samplers.mixture.mixture import MixtureSampler
+from fmu.samplers.mixture.warmup.rounds import PER_ROUND, Rounds
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
+    from fmu.analysis.maxima.results import Maxima
     from fmu.posterior.problem import UpdatingProblem
 
 _CHAINS, _WARMUP, _FIRST, _MOST = 4, 1000, 1000, 128_000
 """Number of chains, warm-up steps, steps before convergence is first judged, and largest number of steps."""
+_WALKERS, _CANDIDATES, _EFFECTIVE = 128, 16_000, 400.0
+"""Number of walkers, largest number of candidates, and number of effective draws that is enough."""
+_STARTS, _OUTSIDE = 32, 1e-4
+"""Starts of the search for maxima that candidates miss, and probability of a Gaussian beyond its draws."""
 
 
-def draws_without(without: UpdatingProblem, seed: int) -> FloatArray | None:
+def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> FloatArray | None:
     """Return draws of a posterior, (chains, n, ndim), SI units; None if they do not converge.
 
-    They have converged if R-hat and the effective sample sizes of all parameters meet the limits of
+    The draws are resampled candidates if the weights of these are reliable (`_by_rounds`), else draws of a run.
+    The run has converged if R-hat and the effective sample sizes of all parameters meet the limits of
     `fmu.diagnose`. Until then the number of draws is doubled, up to `_MOST` per chain.
 
     Parameters
     ----------
     without : UpdatingProblem
         The problem updated without the mode (`UpdatingProblem.using`).
+    near : ndarray, shape (n, ndim)
+        Draws of the posterior with the mode, SI units.
     seed : int
     """
-    maxima = find_map(without)
+    maxima = find_map(without, _STARTS)
+    found = _by_rounds(without, near, np.random.default_rng(seed))
+    if found is not None and not _lacks_a_maximum(maxima, ScaledDensity(without), found):
+        return found[None]
     sampler = MixtureSampler().starting_from(*components(without, maxima))
     starts = choose_starts(without, "maxima", maxima, _CHAINS, sampler.walkers, seed)
     run = Run(without, sampler, warmup=_WARMUP, chains=_CHAINS, seed=seed, init=starts.position)
@@ -46,6 +66,45 @@ def draws_without(without: UpdatingProblem, seed: int) -> FloatArray | None:
         more = draws.shape[1]
         if 2 * more > _MOST:
             return None
+
+
+def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> FloatArray | None:
+    """Return independent draws of a posterior, (n, ndim), SI units; None if their weights are not reliable.
+
+    Walkers that start at draws with the mode spread over the posterior without it. Candidates come from a mixture
+    that is fitted to the walkers, and in rounds to the candidates, in logarithms of the parameters with log-normal
+    priors, in which a posterior is less skewed. They are resampled by weight, as many as are effective, if the
+    Pareto k of the weights is low.
+    """
+    density = LogarithmicDensity(without)
+    rounds, u = Rounds(Target(density)), density.to_scaled(near[rng.choice(len(near), _WALKERS)])
+    walked = walk(density.log_prob, u, (density.lower, density.upper), rng, _WALKERS)
+    u = np.concatenate(walked[len(walked) // 2 :])
+    with suppress(np.linalg.LinAlgError):  # the draws do not span the space
+        mixture = fit_curved(u, np.ones(len(u)), density.lower, density.upper)
+        while sum(rounds.counts) < _CANDIDATES:
+            rounds.draw(mixture, rng, PER_ROUND)
+            log_w = rounds.log_ratio
+            if len(log_w) and effective_size(log_w) >= _EFFECTIVE and pareto_k(log_w) <= GOOD_K:
+                return density.to_theta(resample(rng, rounds.position, log_w, int(effective_size(log_w))))
+            mixture = rounds.fit_mixture()
+    return None
+
+
+def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -> bool:
+    """Return True if a maximum lies outside an ellipsoid around draws theta (n, ndim)."""
+    from scipy.special import chdtri
+
+    draws = scaled.to_scaled(theta)
+    high = scaled.to_scaled(np.array([m.theta for m in maxima if m.share > NEGLIGIBLE]))
+    z = np.linalg.solve(np.linalg.cholesky(np.cov(draws.T)), (high - draws.mean(axis=0)).T)
+    return bool(np.any(np.sum(z**2, axis=0) > chdtri(scaled.ndim, _OUTSIDE)))
+
+
+def is_in_funnel(problem: UpdatingProblem) -> bool:
+    """Return True if Gaussians around the maxima of a posterior are no use; see `are_in_funnel`."""
+    has_discrepancy = problem.likelihood.has_discrepancy and is_searchable(problem)
+    return has_discrepancy and are_in_funnel(problem, find_map(problem))
 
 
 def _is_converged(x: FloatArray) -> bool:

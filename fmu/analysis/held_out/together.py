@@ -7,7 +7,7 @@ modes takes about as many solves as leaving out one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -143,24 +143,52 @@ def _walk(
     if not walkers:
         return {}
     rows, t = np.repeat(list(walkers), _WALKERS), np.arange(len(walkers) * _WALKERS)
+
+    def log_prob(x: FloatArray) -> FloatArray:
+        return np.asarray(log_prob_of_all(problems, scaled.to_theta(x))[t, rows])
+
     x = np.concatenate(list(walkers.values()))
-    log_p = log_prob_of_all(problems, scaled.to_theta(x))[t, rows]
-    first, kept = t - t % _WALKERS, []
+    last = walk(log_prob, x, (scaled.lower, scaled.upper), rng, _WALKERS)[_STEPS // 2 :]
+    return {number: np.concatenate(last[:, rows == number]) for number in walkers}
+
+
+def walk(
+    log_prob: Callable[[FloatArray], FloatArray],
+    x: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    rng: np.random.Generator,
+    walkers: int,
+) -> FloatArray:
+    """Return the positions of walkers after each step of differential evolution, shape (_STEPS, n, ndim).
+
+    Parameters
+    ----------
+    log_prob : callable
+        Returns the log-densities, (n,), at points (n, ndim).
+    x : ndarray, shape (n, ndim)
+        The starts.
+    bounds : pair of ndarray, shape (ndim,)
+    rng : Generator
+    walkers : int
+        Number of successive walkers that form an ensemble of their own.
+    """
+    (lower, upper), t = bounds, np.arange(len(x))
+    log_p = log_prob(x)
+    first, kept = t - t % walkers, []
     with phase("chains along ridges", _STEPS) as under_way:
         for step in range(_STEPS):
-            one, other = (first + rng.integers(_WALKERS, size=len(t)) for _ in range(2))
+            one, other = (first + rng.integers(walkers, size=len(t)) for _ in range(2))
             length = 1.0 if step % 10 == 9 else 2.38 / np.sqrt(2.0 * x.shape[1])
             proposed = x + length * (x[one] - x[other]) + _JITTER * rng.standard_normal(x.shape)
-            proposed = np.where(proposed < scaled.lower, 2.0 * scaled.lower - proposed, proposed)
-            proposed = np.where(proposed > scaled.upper, 2.0 * scaled.upper - proposed, proposed)
-            proposed = np.clip(proposed, scaled.lower, scaled.upper)
-            new = log_prob_of_all(problems, scaled.to_theta(proposed))[t, rows]
+            proposed = np.where(proposed < lower, 2.0 * lower - proposed, proposed)
+            proposed = np.where(proposed > upper, 2.0 * upper - proposed, proposed)
+            proposed = np.clip(proposed, lower, upper)
+            new = log_prob(proposed)
             moves = np.log(rng.random(len(t))) < new - log_p
             x, log_p = np.where(moves[:, None], proposed, x), np.where(moves, new, log_p)
             kept.append(x)
             under_way.advance()
-    last = np.array(kept[_STEPS // 2 :])
-    return {number: np.concatenate(last[:, rows == number]) for number in walkers}
+    return np.array(kept)
 
 
 @dataclass(frozen=True, eq=False)

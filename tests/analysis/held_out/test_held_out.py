@@ -202,17 +202,37 @@ def test_a_mode_that_was_not_left_out_is_named(make_result, problem, monkeypatch
     assert warning in fmu.diagnose(trace).notes
 
 
-def test_modes_that_importance_sampling_does_not_predict_have_runs_of_their_own(few, problem, monkeypatch):
-    """For a caller who waits however long it takes; a run that does not converge gives no number."""
+@pytest.mark.parametrize("by_rounds", [True, False])
+def test_modes_that_importance_sampling_does_not_predict_have_draws_of_their_own(
+    few, problem, monkeypatch, by_rounds
+):
+    """For a caller who waits however long it takes: by rounds of candidates, else by a run."""
     monkeypatch.setattr(modes, "_left_out_all", lambda *_: {})
     monkeypatch.setattr(own_run, "_WARMUP", 100)
     monkeypatch.setattr(own_run, "_FIRST", 500)
+    if not by_rounds:
+        monkeypatch.setattr(own_run, "_by_rounds", lambda *_: None)
     table = fmu.leave_one_out(few(problem), problem)
     assert table["method"].tolist() == BY_REFITS
     check(table, (True,) * 3, np.diag(0.5 / BETA), sigmas=6.0)
-    monkeypatch.setattr(own_run, "_MOST", 500)
+
+
+def test_a_run_that_does_not_converge_predicts_nothing(few, problem, monkeypatch):
+    monkeypatch.setattr(modes, "_left_out_all", lambda *_: {})
+    monkeypatch.setattr(own_run, "_by_rounds", lambda *_: None)
+    for name, number in (("_WARMUP", 100), ("_FIRST", 500), ("_MOST", 500)):
+        monkeypatch.setattr(own_run, name, number)
     monkeypatch.setattr(own_run, "_is_converged", lambda draws: False)
     assert not fmu.leave_one_out(few(problem), problem)["method"].any()
+
+
+def test_a_maximum_outside_the_draws_needs_a_run(problem):
+    """Candidates around draws with the mode do not lead to a maximum that only the other modes allow."""
+    maxima, scaled = fmu.find_map(problem, 2), ScaledDensity(problem)
+    far = replace(maxima, maxima=(*maxima.maxima, replace(maxima[0], theta=maxima[0].theta + 9.0)))
+    draws = maxima[0].theta + np.random.default_rng(2).standard_normal((500, 2))
+    assert not own_run._lacks_a_maximum(maxima, scaled, draws)
+    assert own_run._lacks_a_maximum(far, scaled, draws)
 
 
 def test_what_is_affordable_does_not_depend_on_the_clock():

@@ -8,8 +8,8 @@ import pytest
 
 import fmu
 from fmu.analysis.maxima.missed import draws_of_maxima, nearest_maxima
-from fmu.analysis.maxima.starts import DISPERSION, allot_chains, components, starts_at_maxima
-from tests.four_storeys import TRUTH, four_storeys
+from fmu.analysis.maxima.starts import DISPERSION, allot_chains, are_in_funnel, components, starts_at_maxima
+from tests.four_storeys import SD, TRUTH, four_storeys
 
 
 @pytest.fixture(scope="module")
@@ -181,3 +181,17 @@ def test_walkers_of_a_hierarchical_posterior_are_around_its_middle():
 def test_walkers_that_make_no_sense(frame, n, seed, message):
     with pytest.raises(ValueError, match=message):
         frame.walkers(n, seed)
+
+
+def test_a_funnel_has_one_maximum_which_is_its_neck(frame):
+    """Of a model that may be wrong; the quadratics at its maxima, without scatter, are far too narrow."""
+    error = fmu.FrequencyErrors("relative", sd=SD)
+    wrong = fmu.UpdatingProblem(
+        frame.model, frame.data, frame.parameters, error=error, discrepancy=fmu.Discrepancy()
+    )
+    maxima = fmu.find_map(wrong, starts=4)
+    neck, wide = (
+        replace(maxima, maxima=(replace(maxima[0], share=1.0, effective_draws=n),)) for n in (2.0, 200.0)
+    )
+    assert are_in_funnel(wrong, neck)
+    assert not any(are_in_funnel(*one) for one in ((wrong, wide), (wrong, maxima), (frame, neck)))

@@ -69,7 +69,12 @@ class Rounds:
     @property
     def log_weight(self) -> FloatArray:
         """Log-weights of the candidates up to a constant, shape (n,); the largest weights are truncated."""
-        return cut_largest(self.log_prob - sum_densities(self._by_mixture, self.counts))
+        return cut_largest(self.log_ratio)
+
+    @property
+    def log_ratio(self) -> FloatArray:
+        """Log-weights of the candidates up to a constant, shape (n,), as they are."""
+        return self.log_prob - sum_densities(self._by_mixture, self.counts)
 
     def fit_mixture(self) -> CurvedMixture:
         """Return the mixture fitted to all candidates; raise LinAlgError if the candidates do not span the space.
