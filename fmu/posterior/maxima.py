@@ -50,30 +50,31 @@ def local_maxima(
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The starts are the problem's own start and points of a scrambled Sobol sequence in the box of the priors. If
-    the errors are those of computed modes, all starts ascend by Gauss–Newton steps in lockstep (`ascend`). Just
-    below a maximum, only the highest of several points close to one another continues. Of the ascents that stall
-    at a kink, the best eight continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For other errors, every start
-    ascends by L-BFGS-B. Two results count as one maximum if no valley separates them: on the straight line between
-    the two points, the log-probability is nowhere more than 0.1 below the lower of the two values.
+    The search starts from ``problem.start`` and from scrambled Sobol points in the box of the priors. If the
+    likelihood consists of errors of modes, all starts ascend together by Gauss–Newton steps (`ascend`). Where
+    several ascents have come close together just below a maximum, only the highest continues. Of the ascents that
+    stall at a kink, the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other
+    likelihood, every start ascends by L-BFGS-B. Two results are the same maximum if no valley separates them: on
+    the straight line between the two points, the log-probability is nowhere more than 0.1 below the lower of the
+    two values.
 
-    If the model has a discrepancy, the starts ascend without it first, and the highest eight ends go on with it.
-    Of the starts 64 ascend with it at once (`_starts_with_discrepancy`).
+    If the model has a discrepancy, the starts ascend without it first, and the highest eight ends continue with
+    it. Of the starts, 64 ascend with it from the first step (`_starts_with_discrepancy`).
 
     Parameters
     ----------
     problem : UpdatingProblem
     starts : int
-        Number of starts, at least 1; the first is ``problem.start``. Where modes swap, few starts may lead to an
-        important maximum: in the example cantilever-section, with pairing by number, one start in twelve reaches
-        the maximum with nearly all of the probability.
+        Number of starts, at least 1; the first is ``problem.start``. Where modes swap, only a small fraction of
+        the starts may reach an important maximum: in the example cantilever-section, with pairing by number, one
+        start in twelve reaches the maximum that holds nearly all of the probability.
     seed : int
     near : ndarray, shape (n, ndim), optional
         Further starts, SI units.
     most_solves : float
-        Largest number of solves. With a finite limit the starts ascend one after the other, and no ascent begins
-        once the limit is reached. Without errors of modes, no ascent begins either after sixteen ascents have led
-        to more than eight maxima, as in a density that is hollow.
+        Largest number of solves. If it is finite, the starts ascend one after the other, and none begins once the
+        limit is reached. For a likelihood without errors of modes, the search also ends after sixteen ascents that
+        have found more than eight distinct maxima.
 
     Raises
     ------

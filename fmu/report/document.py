@@ -149,7 +149,7 @@ class Picture(_Part):
 
     @property
     def is_high(self) -> bool:
-        """Whether the picture is high enough to be folded on a page."""
+        """Whether the picture is so tall that the page collapses it under its heading."""
         return self.height > _HIGH
 
     @property

@@ -78,7 +78,7 @@ def beyond(below: float, above: float) -> str:
 
 
 def probability(p: float) -> str:
-    """Return ``"p = 0.003"``, ``"p = 2e-12"`` or ``"p < 1e-300"``."""
+    """Return a p-value in words with one significant digit, such as ``"p = 0.003"``, or ``"p < 1e-300"``."""
     return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
 
 

@@ -137,10 +137,10 @@ def middle(problem: Any) -> Quadratic:
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
     """Draw the starting points of all chains around the maxima, in proportion to their shares of the probability.
 
-    Around each maximum they are drawn from its quadratic model of the log-probability, `DISPERSION` times as wide
-    as the posterior and truncated at the bounds. That far out the quadratic model may be wrong. So any starting
-    point whose log-probability is not finite, or is below the level that encloses nearly all of the widened
-    Gaussian, is moved halfway to the maximum, repeatedly, until it is high enough.
+    Around each maximum, points are drawn from the Gaussian approximation there, widened by `DISPERSION` and
+    truncated at the bounds. The approximation may be poor that far out. So any point whose log-probability is not
+    finite, or is below the contour that encloses nearly all of the widened Gaussian, is moved halfway to the
+    maximum, up to `_HALVINGS` times. A point that is still not finite is then reflected through the maximum.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     chains : int
         Number of chains, or of ensembles.
     walkers : int
-        Number of walkers of an ensemble, 1 for samplers whose chain is a single point. The walkers of every
-        ensemble are allotted in proportion to the shares.
+        Number of walkers per ensemble; 1 for samplers whose chains are single points. The walkers of each ensemble
+        are allocated to the maxima in proportion to their shares.
     seed : int
         Seed of the run.
 

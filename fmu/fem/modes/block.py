@@ -204,7 +204,10 @@ class Block:
         raise NotImplementedError
 
     def _sum_products(self, x: FloatArray, of_mass: bool) -> FloatArray:
-        """Return Σ_k K_k x_k, or Σ_k M_k x_k if `of_mass`, (n, size, m), for x (n, n_terms, size, m)."""
+        """Return Σ_k K_k x_k, or Σ_k M_k x_k if `of_mass`, with shape (n, size, m).
+
+        `x` has the shape (n, n_terms, size, m).
+        """
         raise NotImplementedError
 
     def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:

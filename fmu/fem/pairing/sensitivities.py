@@ -132,7 +132,7 @@ class JoinedSensitivities(Sensitivities):
                 self.shapes[rows], self.shape_slopes[rows] = part.shapes, part.shape_slopes
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return H_i d_i and the sums of second derivatives of shapes; see `Sensitivities`."""
+        """Return second derivatives along `d` plus the weighted ones of shapes; see `Sensitivities.curvature`."""
         found = np.empty(d.shape)
         for rows, part in self._parts:
             found[rows] = part.curvature(d[rows], None if of_shapes is None else of_shapes[rows])
@@ -215,7 +215,7 @@ class StructureSensitivities(Sensitivities):
         self.gradient = frequency_gradient(self.frequencies, slopes)
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return H_i d_i and the sums of second derivatives of shapes; see `Sensitivities`."""
+        """Return second derivatives along `d` plus the weighted ones of shapes; see `Sensitivities.curvature`."""
         found = np.full(d.shape, np.nan)
         with single_thread(), np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for block, _, lam, phi, count, row, column, rank in self._parts:

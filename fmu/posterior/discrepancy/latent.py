@@ -244,7 +244,7 @@ class LatentErrors:
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
-        """Return the contribution of each row to a cumulative sum over the rows of its group."""
+        """Return the increments (n, m, …) of `total`, a cumulative sum over the rows of each group."""
         later = np.flatnonzero(self._before >= 0)
         if not len(later):
             return total

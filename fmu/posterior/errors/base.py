@@ -59,16 +59,15 @@ class Evaluated(NamedTuple):
     Attributes
     ----------
     terms : ndarray, shape (n, n_modes)
-        The log-density of each mode.
+        The log-density of each mode. The following are its derivatives.
     by_frequency : ndarray, shape (n, n_modes), or None
-        Derivative of each log-density with respect to the frequency of its mode, 1/Hz.
+        With respect to the frequency of the mode, 1/Hz.
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
-        Derivative of each log-density with respect to the components of the shape of its mode.
+        With respect to the components of the shape of the mode.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
-        Derivative of each log-density with respect to each inferred standard deviation; the keys are the indices
-        of the standard deviations.
+        With respect to each inferred standard deviation, by its index.
     by_frequency_variance, by_shape_variance : ndarray, of the shapes of by_frequency and by_shape, or None
-        Derivatives of each log-density with respect to the variances of the model's own errors.
+        With respect to the variances of the model's own errors.
     """
 
     terms: FloatArray
@@ -102,12 +101,11 @@ class ErrorTerm:
     spread : Spread
         Variances of the errors.
     needs_shapes, of_frequencies : bool
-        Whether these are errors of mode shapes, and whether they are errors of frequencies, which `simulate` can
-        add.
+        Whether these are errors of mode shapes, or of frequencies, which `simulate` can add.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
     is_chi_square : bool
-        Whether the squared residuals of a mode sum to a chi-square variable with `n_data` degrees of freedom.
+        Whether the squared residuals of a mode sum to a chi-square variable (`n_data` degrees of freedom).
     quantity : str
         Name of the quantities that have these errors, in the plural.
     tests : RepeatedTests or None
@@ -161,10 +159,8 @@ class ErrorTerm:
 
         Parameters
         ----------
-        seen : ModalPrediction
-            A prediction returned by `project`.
-        noise : ndarray, shape (n, n_noise)
-            The inferred standard deviations.
+        seen : ModalPrediction, from `project`
+        noise : ndarray, shape (n, n_noise), the inferred standard deviations
         gradient : bool
         """
         raise NotImplementedError
@@ -230,16 +226,14 @@ class ErrorTerm:
 class Likelihood:
     """The log-likelihood of the measured modes as a function of theta.
 
-    Here theta consists of the parameters of the model, followed by the inferred standard deviations. With several
-    tests, the former are the parameters of the structure in each test
-    (`fmu.posterior.joint.layout.Layout.of_model`). The derivatives of a value are with respect to the parameters
-    in the test that the value belongs to, unless a `Chain` is given.
+    Here theta consists of the parameters of the model (with several tests, of the structure in each test: see
+    `fmu.posterior.joint.layout.Layout.of_model`), followed by the inferred standard deviations. The derivatives of
+    a value are with respect to the parameters in the test of this value, unless a `Chain` is given.
 
     Attributes
     ----------
     of_modes : bool
-        Whether the errors are those of computed modes: then `quadratic`, `residuals_and_slopes`, `labels` and
-        `in_standard_deviations` exist.
+        Whether there is a residual per mode: `quadratic`, `residuals_and_slopes` and `labels` exist.
     needs_shapes : bool
         Whether some of the errors are those of mode shapes.
     simulates : bool
@@ -265,8 +259,8 @@ class Likelihood:
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy, predictions_per_gradient, n_sizes : bool, int, int or None
-        Whether the model has errors of its own, how often a gradient takes the modes and their derivatives, and
-        how many inferred sizes the errors of modes have, the last of `noise` (None without such errors).
+        Whether the model has errors of its own; how often a gradient solves for the modes and their derivatives;
+        number of inferred sizes of errors of modes, the last of `noise` (None without such errors).
     """
 
     of_modes: bool = False
@@ -394,7 +388,7 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies with any errors of the model at theta added: new draws, or draws given the data."""
+        """Return frequencies plus any discrepancy of the model at theta, drawn afresh or given the data."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

@@ -323,7 +323,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return np.asarray(0.5 / np.diag(self.covariance_hz2))
 
     def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
-        """Return the term of the marginal density of the `used` modes; see `ErrorTerm`."""
+        """Return the error term of the `used` modes, with the other modes marginalised out; see `ErrorTerm`."""
         return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:

@@ -317,7 +317,7 @@ class FRFLikelihood(Likelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies with any errors of the model at theta added: new draws, or draws given the data."""
+        """Return frequencies plus any discrepancy of the model at theta, drawn afresh or given the data."""
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

@@ -199,7 +199,7 @@ class FRFTerm:
         return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and sd of the gain errors that are integrated out, (n, n_channels) each."""
+        """Return the posterior mean and sd of the gain errors that are integrated out, (n, n_channels) each."""
         found = self._integrate_gains(theta, self._solve(theta))
         return found.best, 1.0 / np.sqrt(found.precision)
 

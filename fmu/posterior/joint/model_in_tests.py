@@ -292,7 +292,7 @@ class _SensitivitiesInTests(Sensitivities):
             self.shape_slopes[:, :, part.columns[:, None], part.parameters] = moved
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return H_i d_i and the sums of second derivatives of shapes; see `Sensitivities`."""
+        """Return second derivatives along `d` plus the weighted ones of shapes; see `Sensitivities.curvature`."""
         found = np.zeros(d.shape)
         for part, model in self._parts:
             own = d[:, part.columns[:, None], part.parameters]

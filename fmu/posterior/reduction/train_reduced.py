@@ -261,9 +261,10 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
 
 
 def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
-    """Return the largest relative error of the measured modes' frequencies at theta (n, p), jumps excluded.
+    """Return the largest relative error of the reduced model's frequencies at theta (n, p), over measured modes.
 
-    The result is 0 if no error exceeds the tolerance.
+    The result is 0 if no error exceeds `tolerance`. Points where both models have the same modes but pair
+    different ones with the measured modes are skipped.
     """
     full = model.truth.modes(theta)
     exact, reduced = full.eigenvalues, model.modes(theta).eigenvalues

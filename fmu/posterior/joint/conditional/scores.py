@@ -150,7 +150,7 @@ class Linear(NamedTuple):
 
     @property
     def log_det_factor(self) -> FloatArray:
-        """The logarithm of the determinant of the factor, (n, n_tests)."""
+        """Log-determinant of `factor`, the Cholesky factors of the precision matrices, (n, n_tests)."""
         return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
 
 
