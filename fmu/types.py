@@ -29,21 +29,6 @@ type Plain = bool | int | float | str | Sequence[Plain] | Mapping[str, Plain] | 
 """Data of plain Python types, as in a JSON file."""
 
 
-def mapping_in(value: object) -> Mapping[str, Any] | None:
-    """Return a value that is a mapping, as a table of a file is; None for any other value."""
-    return value if isinstance(value, Mapping) else None
-
-
-def list_in(value: object) -> list[Any] | None:
-    """Return a value that is a list; None for any other value."""
-    return value if isinstance(value, list) else None
-
-
-def number_in(value: object) -> int | float | None:
-    """Return a value that is a number, as true and false are in Python; None for any other value."""
-    return value if isinstance(value, int | float) else None
-
-
 type Chain = Callable[[FloatArray, IntArray], FloatArray]
 """A function that applies the chain rule to derivatives of m quantities, each of which belongs to one test.
 

@@ -11,7 +11,7 @@ import fmu
 
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
-    {"types", "numbers", "interruption", "durable_files"},
+    {"types", "plain_data", "numbers", "interruption", "durable_files"},
     {"box", "differences", "rules"},
     {"arguments"},
     {"tables", "formats", "progress"},

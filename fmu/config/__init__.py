@@ -21,7 +21,7 @@ from fmu.config.mistakes import of_validation, place
 from fmu.formats.files import why_no_file
 from fmu.formats.shown import quote
 from fmu.numbers import typed
-from fmu.types import list_in, mapping_in, number_in
+from fmu.plain_data import list_in, mapping_in, number_in
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

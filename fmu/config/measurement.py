@@ -36,10 +36,11 @@ from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesFormat, Place, Sensors
 from fmu.formats.shown import quote
+from fmu.plain_data import list_in
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.types import Dof, FloatArray, list_in
+from fmu.types import Dof, FloatArray
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A number, or nan for a mode that a test missed."""

@@ -9,9 +9,9 @@ from fmu.numbers import MISSING, about, fixed, given, share, significant, whole,
 from fmu.paper.experiment import CI_PROB, PAIRED_BY, rows_of
 from fmu.paper.findings import CLOSE_LENGTHS, SEPARATED, Findings, judge, statement
 from fmu.paper.plan import PAPER_SAMPLERS
+from fmu.plain_data import list_in, mapping_in, number_in
 from fmu.report.plots import TITLES
 from fmu.tables import markdown_table
-from fmu.types import list_in, mapping_in, number_in
 
 ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
 

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.numbers import MISSING, apart, given, significant, with_sd
+from fmu.plain_data import mapping_in
 from fmu.posterior.frf.assumptions import NO_DATA, assumptions_on_frfs
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import outside_bounds
-from fmu.types import FloatArray, mapping_in
+from fmu.types import FloatArray
 
 Inferred = Mapping[str, tuple[float, float]]
 """Posterior mean and standard deviation of each inferred standard deviation, by the name of the parameter."""

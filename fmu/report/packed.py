@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.types import AnyArray, mapping_in
+from fmu.plain_data import mapping_in
+from fmu.types import AnyArray
 
 _FEW = 32
 """Largest number of entries of an array that is written as JSON."""

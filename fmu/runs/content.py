@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.durable_files import DamagedError, add_checksum, digest, payload_of
+from fmu.plain_data import mapping_in
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
-from fmu.types import AnyArray, mapping_in
+from fmu.types import AnyArray
 
 TITLE = "fmu state 3"
 _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")

@@ -12,7 +12,7 @@ from typing import Any
 
 from fmu.analysis.trace.provenance import canonical_json, configuration_hash, versions
 from fmu.durable_files import DamagedError, add_checksum, payload_of, write_durably
-from fmu.types import list_in, mapping_in
+from fmu.plain_data import list_in, mapping_in
 
 TITLE = "fmu run 1"
 FILE = "run"

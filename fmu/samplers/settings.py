@@ -11,7 +11,8 @@ from annotated_types import Ge
 from numpy.typing import ArrayLike
 
 from fmu.arguments import Numbers, require
-from fmu.types import FloatArray, Positive, mapping_in
+from fmu.plain_data import mapping_in
+from fmu.types import FloatArray, Positive
 
 if TYPE_CHECKING:
     from fmu.samplers.kernel import Sampler

@@ -13,8 +13,8 @@ import numpy as np
 
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.trace.reading import array_of, has
+from fmu.plain_data import mapping_in
 from fmu.samplers.mixture.kernel import CANDIDATE
-from fmu.types import mapping_in
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.types import AnyArray, BoolArray, FloatArray, mapping_in
+from fmu.plain_data import mapping_in
+from fmu.types import AnyArray, BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -36,7 +36,8 @@ from fmu.formats.modes.measured_modes import (
     real_shapes,
 )
 from fmu.formats.shown import in_words, quote
-from fmu.types import AnyArray, FloatArray, mapping_in
+from fmu.plain_data import mapping_in
+from fmu.types import AnyArray, FloatArray
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Phi_std", "Xi")
 FIXED = 1e-3

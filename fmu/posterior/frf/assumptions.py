@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fmu.numbers import given, names_in_words, significant, whole
-from fmu.types import list_in
+from fmu.plain_data import list_in
 
 _PLURAL = {"receptance": "receptances", "mobility": "mobilities", "accelerance": "accelerances"}
 NO_DATA = (

@@ -16,8 +16,9 @@ from fmu.fem.frf.proportional import Source
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.numbers import typed
+from fmu.plain_data import mapping_in
 from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
-from fmu.types import NotNegative, Plain, mapping_in
+from fmu.types import NotNegative, Plain
 
 
 @check_arguments

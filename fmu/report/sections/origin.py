@@ -10,11 +10,11 @@ from fmu.analysis.trace.reading import is_imported
 from fmu.fem.certificates import ReductionCertificate, SurrogateCertificate
 from fmu.fem.frf.confirming import FRFCertificate
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
+from fmu.plain_data import list_in, mapping_in, number_in
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Text
 from fmu.report.run import ReportedRun
-from fmu.types import list_in, mapping_in, number_in
 
 _LONG = 60
 """Largest number of characters of a list of settings in a table cell."""
