@@ -63,7 +63,7 @@ def _option[Command: Callable[..., object]](
 @click.command()
 @click.argument("case", required=False)
 @click.option("--sampler", "samplers", multiple=True, type=click.Choice((*SAMPLERS, ALL)), help="Sampler. "
-              "Repeat the option for several; all: those that fmu compare runs.  [default: mixture; hmc where "
+              "Repeat the option for several; all: those that fmu compare runs.  [default: mixture; gibbs where "
               "parameters scatter over tests]")  # fmt: skip
 @pairing_option
 @click.option("--discrepancy", "discrepancies", multiple=True, type=click.Choice((*VARIANTS, ALL)),
