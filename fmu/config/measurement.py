@@ -178,7 +178,7 @@ class MeasurementTable(TomlTable):
         return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
-        """Return those of `keys` that the file gives in this table."""
+        """Return the keys among `keys` that the file gives in this table."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property

@@ -365,7 +365,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found if self.model.is_uncertain else of_residuals + found
 
     def _of_all_modes(self, of_used: FloatArray) -> FloatArray:
-        """Return rows (n, m, …) for all modes: those of the used modes, and 0 for the other modes."""
+        """Return rows (n, m, …) for all modes: the given rows of the used modes, and 0 for the others."""
         found = np.zeros((len(of_used), len(self.group), *of_used.shape[2:]))
         found[:, self._used] = of_used
         return found
