@@ -170,6 +170,12 @@ class LogarithmicDensity:
         return np.asarray(np.sum(np.log(self._of.stretch(self.to_theta(u))), axis=-1))
 
 
+def clip_to_support(scaled: ScaledDensity, problem: Posterior) -> ScaledDensity:
+    """Make theta of a scaled posterior stay where the prior has a density; return the scaled posterior."""
+    scaled.theta_lower, scaled.theta_upper = problem.support
+    return scaled
+
+
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
     """Return the scaled density for ascents, in logarithms of the parameters whose priors span decades.
 
@@ -177,5 +183,4 @@ def ascent_coordinates(problem: Posterior) -> ScaledDensity:
     """
     with_logs = LogScaledDensity(problem)
     scaled = with_logs if with_logs.is_log.any() else ScaledDensity(problem)
-    scaled.theta_lower, scaled.theta_upper = problem.support
-    return scaled
+    return clip_to_support(scaled, problem)

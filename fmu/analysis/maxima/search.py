@@ -20,7 +20,7 @@ from fmu.differences import both_sides
 from fmu.fem.black_box import solves_of_a_surrogate
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.programs.solves import SLOW_S
-from fmu.posterior.scaled import ScaledDensity
+from fmu.posterior.scaled import ScaledDensity, clip_to_support
 from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray, LogDensity
@@ -311,8 +311,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     from fmu.posterior.ascent import GaussNewton
 
     def of_residuals() -> FloatArray:
-        scaled = ScaledDensity(problem)
-        scaled.theta_lower, scaled.theta_upper = problem.support  # a scatter of 0 has no density
+        scaled = clip_to_support(ScaledDensity(problem), problem)  # a scatter of 0 has no density
         return GaussNewton(problem, scaled)(scaled.to_scaled(theta)[None])[2][0]
 
     if is_rough and problem.likelihood.of_modes:

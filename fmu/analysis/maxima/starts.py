@@ -13,7 +13,7 @@ from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT
 from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
-from fmu.analysis.trace.densities import has_prior, is_updating
+from fmu.analysis.trace.densities import has_prior
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.settings import whole_number
@@ -197,13 +197,13 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
     return [scale_maximum(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
 
 
-def are_in_funnel(density: LogDensity, maxima: Maxima) -> bool:
+def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:
     """Return True if the posterior of a model with a discrepancy is a funnel, of which the maximum is the neck.
 
     The more the parameters scatter, the wider is their posterior. Its maximum is at little scatter, and hardly any
     draw around it has the weight of the posterior. False if several maxima matter.
     """
-    if not (is_updating(density) and density.likelihood.has_discrepancy):
+    if not problem.likelihood.has_discrepancy:
         return False
     matter = [m.effective_draws for m in maxima if m.share > NEGLIGIBLE]
     return len(matter) == 1 and matter[0] < _IN_A_NECK

@@ -10,7 +10,7 @@ import numpy as np
 from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.joint.blocks import BlockForm
 from fmu.posterior.joint.conditional.dates import undated_events
-from fmu.posterior.joint.conditional.expansion import OfTests, expand
+from fmu.posterior.joint.conditional.expansion import expand, likelihood_of_tests
 from fmu.posterior.joint.conditional.scores import Scores, ScoresGivenMain
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.drawn import Drawn
@@ -122,8 +122,7 @@ def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
 
 def _date_events(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
     """Return theta (ndim,) with the most probable dates and losses of sudden events."""
-    assert isinstance(problem.likelihood, OfTests)  # of several tests
-    given = ScoresGivenMain(problem.layout, expand(problem.layout, problem.likelihood, theta))
+    given = ScoresGivenMain(problem.layout, expand(problem.layout, likelihood_of_tests(problem), theta))
     found = theta[None]
     for event in undated_events(problem.layout, problem.parameters, theta):
         found = event.likeliest(given, found)
