@@ -1,12 +1,12 @@
-"""Second-order form of a hierarchical posterior in blocks: the scores of different tests have no common terms.
+"""Newton-type steps and maxima for a hierarchical posterior whose Hessian is solved block by block.
 
-Let m be the main parameters and z_t the scores of test t. The negative second derivatives of the log-density have
+Let m be the main parameters and z_t the scores in test t. The negative second derivatives of the log-density have
 the blocks
 
     H_mm,  H_zm,t  and  H_zz,t,
 
-and zeros between the scores of two tests. Systems with this matrix are solved by the Schur complement of the
-scores, H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t. The cost is proportional to the number of tests.
+and zeros between the scores of two different tests. Systems with this matrix are solved with the Schur complement
+H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t. The cost is proportional to the number of tests.
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class BlockHessian:
-    """Negative second derivatives of a log-density with respect to main parameters and scores, in scaled units.
+    """Negative second derivatives of a log-density for d main parameters and p scores per test, in scaled units.
 
     Attributes
     ----------
     main : ndarray, shape (d, d)
+        Main parameters only.
     cross : ndarray, shape (n_tests, p, d)
+        Scores against main parameters; zero for a score that the test does not have.
     scores : ndarray, shape (n_tests, p, p)
-        For a score that a test does not have, the row and column of the identity, and zeros in `cross`.
+        Scores only. A score that the test does not have gets a row and column of the identity matrix.
     """
 
     main: FloatArray
@@ -41,7 +43,11 @@ class BlockHessian:
     scores: FloatArray
 
     def damp(self, damping: float | FloatArray, held: BoolArray) -> BlockHessian:
-        """Return the matrix with its diagonal multiplied by 1 + damping, and the identity for `held`, (d,)."""
+        """Return a copy with its diagonal multiplied by 1 + damping.
+
+        Main parameters marked in `held`, shape (d,), get rows and columns of the identity matrix, so they do not
+        move.
+        """
         main, cross, scores = self.main.copy(), np.where(held, 0.0, self.cross), self.scores.copy()
         k, i = np.arange(len(main)), np.arange(scores.shape[1])
         main[k, k] *= 1.0 + damping
@@ -51,7 +57,10 @@ class BlockHessian:
         return BlockHessian(main, cross, scores)
 
     def solve(self, of_main: FloatArray, of_scores: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the solution of a system with the right-hand sides (d,) and (n_tests, p)."""
+        """Solve H x = b for the right-hand sides `of_main` (d,) and `of_scores` (n_tests, p).
+
+        Return the two parts of x, with the same shapes.
+        """
         reduced = np.linalg.solve(self.scores, np.concatenate([self.cross, of_scores[..., None]], axis=2))
         schur = self._complement(reduced[..., :-1])
         right = of_main - np.einsum("tik,ti->k", self.cross, reduced[..., -1])
@@ -59,12 +68,12 @@ class BlockHessian:
         return main, reduced[..., -1] - reduced[..., :-1] @ main
 
     def _complement(self, left: FloatArray) -> FloatArray:
-        """Return the Schur complement plus a small multiple of the identity, for undetermined directions."""
+        """Return the Schur complement (d, d) plus a small multiple of the identity, so that it is not singular."""
         schur = self.main - np.einsum("tik,til->kl", self.cross, left)
         return schur + 1e-12 * (1.0 + np.trace(self.main)) * np.eye(len(schur))
 
     def score_variances(self) -> FloatArray:
-        """Return the variances of the scores, (n_tests, p)."""
+        """Return the score variances, shape (n_tests, p)."""
         inverse = np.linalg.inv(self.scores)
         left = inverse @ self.cross
         schur = self._complement(left)
@@ -73,14 +82,14 @@ class BlockHessian:
 
 
 class BlockForm:
-    """The posterior of a problem with populations and standard normal scores, to second order in block form.
+    """Second-order expansion of a hierarchical posterior in block form, with standard normal scores.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem whose scores are not centred.
+        A problem with populations, in the non-centred form.
     columns : ndarray of int, shape (d,)
-        Indices of the main parameters that may move; the others are held fixed.
+        Indices in theta of the main parameters that may move; the others stay fixed.
     """
 
     def __init__(self, problem: UpdatingProblem, columns: IntArray) -> None:
@@ -89,14 +98,14 @@ class BlockForm:
         self._prior = JointPrior([problem.parameters[k] for k in columns])
 
     def gradient(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log-density at theta (ndim,), and its scaled gradients over main parameters and scores."""
+        """Return the log-density at theta (ndim,), and its scaled gradients for main parameters and for scores."""
         value, gradient = self.problem.log_prob_and_grad(theta)
         gradient = gradient * self.scaled.scale
         of_scores = np.where(self.scores.scored, gradient[self.scores.columns], 0.0)
         return float(value), gradient[self.columns], of_scores
 
     def hessian(self, theta: FloatArray) -> BlockHessian:
-        """Return the Gauss–Newton Hessian at theta (ndim,), with Fisher's information on inferred sds."""
+        """Return the Gauss–Newton Hessian at theta (ndim,), with the Fisher information for inferred error sds."""
         problem, layout = self.problem, self.problem.layout
         n, d = len(layout.parameters), len(self.columns)
         n_tests, p = self.scores.scored.shape
@@ -126,7 +135,7 @@ class BlockForm:
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the negative second derivatives of the main parameters' prior, plus the information on noise."""
+        """Return minus the second derivatives of the main parameters' log-prior, plus the information on noise."""
         problem, scale = self.problem, self.scaled.scale
         found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)
@@ -139,9 +148,10 @@ class BlockForm:
         return found
 
     def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
-        """Return the maximum over scores and `columns` that Levenberg–Marquardt steps reach, and its Hessian.
+        """Maximise the log-density over scores and `columns` with Levenberg–Marquardt steps.
 
-        The diagonal is damped as in `fmu.posterior.ascent.ascend`.
+        Return the maximum, theta (ndim,), and the Hessian there. The diagonal is damped as in
+        `fmu.posterior.ascent.ascend`.
         """
         damping = np.asarray(FIRST_DAMPING)
         value, of_main, of_scores = self.gradient(theta)
@@ -165,7 +175,7 @@ class BlockForm:
         return theta, hessian
 
     def _move(self, theta: FloatArray, main: FloatArray, scores: FloatArray) -> FloatArray:
-        """Return theta after a scaled step of the main parameters, clipped to their bounds, and of the scores."""
+        """Return theta after scaled steps `main` and `scores`; main parameters are clipped to their bounds."""
         found, scored = theta.copy(), self.scores.scored
         found[self.columns] += main * self.scaled.scale[self.columns]
         found[self.scores.columns[scored]] += (scores * self.scaled.scale[self.scores.columns])[scored]

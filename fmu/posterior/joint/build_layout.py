@@ -1,4 +1,4 @@
-"""The layout of the parameters of several tests, built from how each structural parameter varies."""
+"""Build the parameter layout of several tests from the way each structural parameter varies."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def build_layout(
     eta: float | None,
     outliers: Outliers | None,
 ) -> Layout:
-    """Return the layout of several tests. `fmu.JointProblem` describes the arguments and has checked them.
+    """Return the parameter layout of several tests; `fmu.JointProblem` describes and checks the arguments.
 
     `varies` has an entry for every structural parameter. `eta` is the argument `correlation`.
     """

@@ -1,4 +1,4 @@
-"""The configurations of several tests. Tests with the same matrices and sensors are solved in one batch."""
+"""Sort several tests into configurations. Tests with the same matrices and sensors are solved in one batch."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
     Raises
     ------
     ValueError
-        If some tests have standard deviations or a covariance matrix of their frequencies, and other tests do not.
+        If some tests have their own frequency standard deviations or covariance matrix and others do not.
     """
     every = _alike([test.data for test in tests])
     sd = covariance = None
@@ -56,9 +56,10 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
 
 
 def _alike(every: Sequence[ModalData]) -> list[ModalData]:
-    """Return the data of tests, all with standard deviations or a covariance, or all without.
+    """Return all test data with or all without frequency uncertainty, so that they can be stacked.
 
-    Modes that are not used, such as those picked in FRFs, may differ from the others: missing values are added.
+    Tests that use no mode, such as those whose modes were picked in FRFs, are adapted to the others. Raise
+    TestsError if only some of the other tests have uncertainties.
     """
     trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
     counted = [t for t, data in enumerate(every) if any(data.use)] or list(range(len(every)))
@@ -83,7 +84,7 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, of_model: int, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return a list of configurations, each with its trained model, and the tolerance of the model reduction.
+    """Return the list of configurations, each with its trained model, and the tolerance for the reduced model.
 
     The first `of_model` structural parameters are parameters of the model.
     """
@@ -132,7 +133,7 @@ def find_configurations(
 
 
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
-    """Return one `ModalData` with all modes that occur in the tests, and for each test the indices of its modes.
+    """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
 
     Frequencies and shapes are means over the tests. Standard deviations are the smallest over the tests.
     """

@@ -1,14 +1,14 @@
-"""Correlation of the populations of several parameters by a Gaussian copula.
+"""Correlation between the populations of several parameters, modelled by a Gaussian copula.
 
-The scores z_t of all populations in test t are standard normal with the correlation matrix R. The logarithm of the
-copula density,
+The scores z_t of all populations in test t are standard normal with the correlation matrix R. The log-density of
+the copula,
 
     log c(z_t) = −½ log det R − ½ z_tᵀ (R⁻¹ − I) z_t,
 
 is added to the log-density of the test's values. Each parameter keeps its own distribution and bounds. R is built
-from the partial correlations ρ_ij of the parameters i < j given the parameters before i. If the partial
-correlations have certain independent beta distributions, the density of R is proportional to (det R)^(η − 1)
-(Lewandowski, Kurowicka & Joe 2009, *J. Multivar. Anal.* 100, 1989–2001, section 2.4).
+from the partial correlations ρ_ij of parameters i < j given the parameters before i. If the partial correlations
+have certain independent beta distributions, the density of R is proportional to (det R)^(η − 1) (Lewandowski,
+Kurowicka & Joe 2009, *J. Multivar. Anal.* 100, 1989–2001, section 2.4).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _START = 0.95
 
 @dataclass(frozen=True)
 class Correlation:
-    """The correlation of p populations.
+    """Correlation matrix of p populations, parametrised by partial correlations.
 
     Attributes
     ----------
@@ -47,16 +47,17 @@ class Correlation:
     _last: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def factor(self, theta: FloatArray) -> FloatArray:
-        """Return the Cholesky factor of the correlation matrix, shape (n, p, p), at theta (n, n_parameters)."""
+        """Return the correlation matrix's Cholesky factor, shape (n, p, p), at theta (n, n_parameters)."""
         return self._at(theta)[0]
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the log-density of the copula in each test, and its derivatives.
+        """Return the copula's log-density in each test, and its derivatives.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         z : ndarray, shape (n, n_tests, p)
+            Scores.
 
         Returns
         -------
@@ -79,8 +80,7 @@ class Correlation:
     def precision(self, theta: FloatArray) -> FloatArray:
         """Return the inverse correlation matrix minus I for each test, shape (n, n_tests, p, p).
 
-        It is the inverse of the correlation matrix of the scores that the test has. Entries of missing scores are
-        zero.
+        Only scores that the test has are correlated and inverted. Entries for missing scores are zero.
         """
         n_tests, p = self.scored.shape
         found = np.zeros((len(theta), n_tests, p, p))
@@ -96,13 +96,13 @@ class Correlation:
         return found
 
     def gradient_of_moments(self, theta: FloatArray, moments: FloatArray) -> FloatArray:
-        """Return the derivatives of the scores' expected log-density with respect to the partial correlations.
+        """Return the gradient of the scores' expected log-density with respect to the partial correlations.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         moments : ndarray, shape (n, n_tests, p, p)
-            The second moments of the scores of each test, given the data.
+            Second moments of each test's scores, given the data.
 
         Returns
         -------
@@ -116,12 +116,12 @@ class Correlation:
         return np.einsum("nij,nkij->nk", 2.0 * by_R @ L, slopes)
 
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
-        """Return the partial correlations, (p (p − 1) / 2,), of scores with the second moments (p, p)."""
+        """Return the partial correlations, shape (p (p − 1) / 2,), of scores with the second moments (p, p)."""
         return np.clip(partial_correlations(np.linalg.cholesky(second_moments)), -_START, _START)
 
     @cached_property
     def _patterns(self) -> list[tuple[IntArray, IntArray]]:
-        """Indices of populations and of tests, for each set of tests with scores in the same populations.
+        """Population indices and test indices for each set of tests that have scores in the same populations.
 
         Tests with fewer than two scores are left out.
         """
@@ -132,7 +132,7 @@ class Correlation:
         return [(here, tests) for here, tests in found if len(here) > 1]
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, list[Any]]:
-        """Return the Cholesky factor at theta (n, n_parameters), its derivatives and the list of its `_blocks`."""
+        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and all of its `_blocks`."""
         rho = theta[:, self.columns]
         if not np.array_equal(self._last.get("rho", ()), rho):
             L, slopes = self._factors(rho)
@@ -141,10 +141,10 @@ class Correlation:
         return found
 
     def _blocks(self, L: FloatArray) -> Iterator[Any]:
-        """Yield the block of the correlation matrix for each of the `_patterns`.
+        """Yield the block of the correlation matrix that belongs to each of the `_patterns`.
 
-        Each item consists of the indices of the populations, the indices of the tests, the index of the block, the
-        inverse of the block and the logarithm of its determinant.
+        Each item has the population indices, the test indices, the block's index, its inverse and its
+        log-determinant.
         """
         R = L @ np.swapaxes(L, 1, 2)
         for here, tests in self._patterns:
@@ -152,9 +152,9 @@ class Correlation:
             yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
     def _factors(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the Cholesky factor of the correlation matrix, and its derivatives by partial correlation.
+        """Return the correlation matrix's Cholesky factor L, and its derivatives.
 
-        The factor L has the shape (n, p, p), and its derivatives have the shape (n, p (p - 1) / 2, p, p).
+        The shapes are (n, p, p), and (n, p (p - 1) / 2, p, p) with one row per partial correlation.
 
         L_ji = ρ_ij √(1 − ρ_1j²) … √(1 − ρ_(i−1)j²), with ρ_jj = 1.
         """
@@ -176,12 +176,12 @@ class Correlation:
 
 
 def partial_correlations(factor: FloatArray) -> FloatArray:
-    """Return the partial correlations ρ_12, ρ_13, ρ_23, …, (…, p (p − 1) / 2), of covariance matrices.
+    """Return the partial correlations ρ_12, ρ_13, ρ_23, … of covariance matrices, shape (…, p (p − 1) / 2).
 
     Parameters
     ----------
     factor : ndarray, shape (…, p, p)
-        Square roots A of the matrices A Aᵀ; the scales of their rows do not matter.
+        Square roots A of the matrices A Aᵀ. Rows may have any scale.
     """
     # ρ_ij given the variables before i: what the rows i and j have in common beside the rows before them
     L = np.swapaxes(np.linalg.qr(np.swapaxes(factor, -1, -2), mode="r"), -1, -2)
@@ -192,7 +192,7 @@ def partial_correlations(factor: FloatArray) -> FloatArray:
 
 
 def correlations(names: Sequence[str], eta: float) -> list[Parameter]:
-    """Return the list of partial correlations between the populations `names`, with the prior LKJ(η)."""
+    """Return the partial correlations between the populations `names` as parameters, with the prior LKJ(η)."""
     found, p = [], len(names)
     for j in range(1, p):
         for i in range(j):

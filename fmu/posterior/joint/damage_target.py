@@ -1,4 +1,4 @@
-"""A decision about damage for which a test is planned."""
+"""Define the decision about damage that a planned test is to support."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class DamageTarget:
     Attributes
     ----------
     of : str or sequence of str
-        Names of the parameters that may have lost stiffness. With several tests (`fmu.JointProblem`), these are
-        parameters that vary by `Damage` or by group, and the loss is the one in the group of the planned test.
-        With one test, these are parameters that may lose stiffness between this test and the planned one.
+        Names of the parameters that may have lost stiffness. With several tests (`fmu.JointProblem`), these
+        parameters vary by `Damage` or by group, and the loss is the one in the planned test's group. With one
+        test, these parameters may lose stiffness between this test and the planned one.
     beyond : float
-        The loss that matters, such as 0.1; twice as much must be less than 1.
+        The relative loss that matters, such as 0.1; it must be less than 0.5.
     prior : Prior, optional
         With one test, the prior of each loss; defaults to the prior of `Damage`.
     """
@@ -38,16 +38,17 @@ class DamageTarget:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
+        """Names of the parameters that may have lost stiffness."""
         return (self.of,) if isinstance(self.of, str) else tuple(self.of)
 
     def parameters(self, problem: UpdatingProblem) -> list[Parameter]:
-        """Return the losses that a problem of one test does not have, as parameters.
+        """Return the losses as new parameters for a problem with one test; with several tests the list is empty.
 
         Raises
         ------
         ValueError
-            If a name is not that of a parameter that may have a loss, or a prior is given for several tests.
+            If no parameter of that name can have a loss, a name occurs twice, or a prior is given for several
+            tests.
         """
         several = len(problem.tests) > 1
         known = problem.layout.by_state if several else problem.names[: problem.n_structural]

@@ -1,4 +1,4 @@
-"""The joint updating problem of several tests of one structure."""
+"""Set up the joint updating problem for several tests of one structure."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def JointProblem(  # capitalised because it constructs a problem
     engine: Engine | None = None,
     name: str = "problem",
 ) -> UpdatingProblem:
-    """Return the joint posterior of all tests of a structure.
+    """Return the joint posterior for all tests of a structure.
 
-    The modes of the problem are the modes of all tests, named ``"test: mode"``. Its parameters are the shared
+    The problem's modes are the modes of all tests, named ``"test: mode"``. Its parameters are the shared
     parameters and the parameters of each test, group or population (`fmu.posterior.joint.layout`). Every function
     that accepts an `UpdatingProblem` accepts the result. One evaluation computes all tests: tests with the same
     matrices are solved in one batch with one reduced model.
@@ -64,40 +64,40 @@ def JointProblem(  # capitalised because it constructs a problem
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure without the changes of any test. A `ModalModel` or a user's function returns every mode that
-        at least one test contains, in the order in which the labels first occur in the tests.
+        The structure without the changes made for any test. A `ModalModel` or a user's function returns every mode
+        that at least one test contains, in the order in which the labels first occur in the tests.
     tests : sequence of Test
     parameters : sequence of Parameter
         Parameters of the model, in the same order as for a single test.
     varies : mapping of str to {"shared", "test", "group"}, Population, Damage or UndatedDamage
-        How each parameter varies between the tests, by the parameter's name. Parameters without an entry are
+        How each parameter varies between the tests, keyed by parameter name. Parameters without an entry are
         ``"shared"``. ``"test"`` or ``"group"``: each test, or each group of tests, has its own value, with the
         parameter's prior. `Population`: the values in the tests scatter about a common mean (hierarchical
         updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech. Syst. Signal Process.* 64–65,
         360–376). `Damage`: in groups other than the reference, the parameter is reduced by a relative loss.
         `UndatedDamage`: the loss begins at an unknown date.
     slopes : mapping of str to mapping of str to Prior, Polynomial, PiecewiseLinear or str
-        How a parameter depends on covariates x_k, by the names of the parameter and the covariate. The value in a
-        test is multiplied by 1 + Σ_k g_k(x_k). A prior is that of the relative slope b: g(x) = b (x − x₀), where
-        x₀ is the mean of the covariate over the tests. `Polynomial` and `PiecewiseLinear` are other laws. The name
-        of another parameter gives both parameters the same law with the same slopes.
+        How a parameter depends on covariates x_k, keyed by parameter name and covariate name. The value in a test
+        is multiplied by 1 + Σ_k g_k(x_k). A `Prior` belongs to the relative slope b in g(x) = b (x − x₀), where
+        x₀ is the covariate's mean over the tests. `Polynomial` and `PiecewiseLinear` are other laws. Another
+        parameter's name gives both parameters the same law with the same slopes.
     reference : str, optional
         The group of tests that losses refer to. Default: the group of the first test.
     correlation : float, optional
-        Shape parameter η of the LKJ(η) prior of the populations' correlation matrix
+        Shape parameter η of the LKJ(η) prior for the populations' correlation matrix
         (`fmu.posterior.joint.correlation`). 1 is a flat prior; larger values favour smaller correlations. By
         default the populations are independent.
     outliers : Outliers, optional
-        Tests may be outliers of the populations. Which ones are, is summed over; the trace has the probability of
-        each. By default no test is an outlier.
+        Allows tests to be outliers of the populations. The likelihood sums over all possibilities; the trace has
+        each test's outlier probability. By default no test is an outlier.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
-        Errors of the model itself. They are the same in all tests: a mode of the structure, by its label, sees the
-        same parameters in every test, beside what varies between the tests.
+        Model discrepancy. It is the same in all tests: a mode of the structure, identified by its label, has the
+        same discrepancy parameters in every test.
     pairing, beta, error, reduction, engine, name
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are only for
         a single test. `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors` must name the test in which the
         mass was weighed, or the displacement or the FRFs were measured: ``fmu.MassErrors(32.5e3, sd=300.0,
-        test="autumn")``. Damping parameters follow those of the model, and `varies` may name them too.
+        test="autumn")``. Damping parameters follow the model's parameters, and `varies` may name them too.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def JointProblem(  # capitalised because it constructs a problem
     TestsError
         If the tests or another argument are wrong, or contradict each other; the error lists every fault.
     ValueError
-        If soft pairing or the modal residual is asked for, or as `UpdatingProblem` raises it.
+        If soft pairing or the modal residual is requested, or as raised by `UpdatingProblem`.
     """
     tests = tuple(tests)
     slopes = {key: dict(value) for key, value in (slopes or {}).items()}
@@ -161,11 +161,11 @@ def simulate_next_test(
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem of several tests.
+        A problem with several tests.
     rng : Generator
     theta : ndarray, shape (n, ndim)
         Posterior draws. For each draw, a parameter with a population gets a new value from that population; the
-        further test is no outlier.
+        further test is not an outlier.
     like : str, optional
         Name of the test whose configuration, group, modes and errors the further test has. Default: the first.
     covariates : mapping of str to float, optional
@@ -174,12 +174,12 @@ def simulate_next_test(
     Returns
     -------
     computed, measured : ndarray, shape (n, n_modes)
-        Frequencies without and with errors, in Hz, of the modes of the test `like`.
+        Frequencies without and with errors, in Hz, for the modes of the test `like`.
 
     Raises
     ------
     ValueError
-        If `like` or a covariate is unknown, or the error models give no distribution of the frequencies.
+        If `like` or a covariate is unknown, or the error models give no frequency distribution.
     """
     tests = problem.tests
     names = [test.name for test in tests]
@@ -194,16 +194,16 @@ def simulate_next_test(
 
 
 class NextTest(NamedTuple):
-    """Draws of one further test of the structure, in the configuration of one of the tests.
+    """Simulated draws of one further test, in the configuration of an existing test.
 
     Attributes
     ----------
     scores : ndarray, shape (n, n_populations)
-        Its standard normal scores in the populations, in the order of ``layout.drawn``.
+        Standard normal scores in the populations, in the order of ``layout.drawn``.
     values : ndarray, shape (n, n_structural)
-        Its structural parameters.
+        Structural parameters.
     computed, measured : ndarray, shape (n, n_modes)
-        Its frequencies without and with errors, Hz.
+        Frequencies without and with errors, in Hz.
     """
 
     scores: FloatArray
@@ -242,9 +242,9 @@ def find_mistakes(
     correlation: float | None = None,
     outliers: Outliers | None = None,
 ) -> list[str]:
-    """Return a list of messages on contradictions between tests and parameters, each naming the argument.
+    """Return messages about contradictions between tests and parameters, each naming the argument.
 
-    The first `of_model` parameters are those of the model, the others those of the damping.
+    The first `of_model` parameters are the model's, the others are damping parameters.
     """
     names = [p.name for p in parameters]
     found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []
@@ -294,7 +294,7 @@ def find_mistakes(
 
 
 def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages on tests whose shapes cannot be compared, each naming the argument."""
+    """Return messages about tests whose mode shapes cannot be compared, each naming the argument."""
     found = []
     for t, test in enumerate(tests):
         if test.data.shapes is None:

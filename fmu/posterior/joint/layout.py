@@ -1,4 +1,4 @@
-"""The mapping from the inferred parameters of all tests to the parameters of the structure in each test."""
+"""Map the inferred parameters of all tests to the structural parameters in each test."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fmu.types import FloatArray, IntArray, Plain
 
 @dataclass(frozen=True)
 class Layout:
-    """The inferred parameters of all tests, and the structural parameters in each test as functions of them.
+    """Inferred parameters of all tests, and the structural parameters in each test as functions of them.
 
     For a single test the layout is the identity.
 
@@ -38,24 +38,24 @@ class Layout:
     values_of : tuple of InTests
         For each structural parameter, its values in all tests as a function of theta.
     populations : mapping of str to Varies
-        The populations, by the names of the structural parameters that scatter over the tests.
+        Populations, keyed by the name of the structural parameter that scatters over the tests.
     by_state : tuple of str
         Names of the structural parameters that vary between groups of tests.
     correlation : Correlation, optional
-        Correlation of the populations. If it is None, the populations are independent.
+        Correlation between the populations. If it is None, they are independent.
     outliers : ContaminatedScores, optional
-        The density of the scores where tests may be outliers. If it is None, there are no outliers.
+        Score density when tests may be outliers. If it is None, there are no outliers.
     in_time : ScoresInTime, optional
-        The density of the scores where some are correlated in time. If it is None, tests are independent.
+        Score density when some scores are correlated in time. If it is None, tests are independent.
     roles : tuple of Role
-        The meaning of each parameter in `parameters`.
+        Meaning of each parameter in `parameters`.
     reference : str
         The group of tests that losses refer to.
     slopes : dict
         How parameters depend on covariates, in plain Python types.
     by_date : mapping of str to str
-        For each structural parameter with a loss from an unknown date on, the covariate that is the time; empty
-        for the order of the tests.
+        For each structural parameter with a loss from an unknown date on, the name of the covariate that serves as
+        time. The name is empty if test numbers serve as time.
     """
 
     structural: tuple[Parameter, ...]
@@ -88,18 +88,18 @@ class Layout:
 
     @property
     def held(self) -> dict[str, float]:
-        """The values of the structural parameters that are not updated, by name."""
+        """Values of the structural parameters that are not updated, keyed by name."""
         return {p.name: p.start for p in self.structural if not p.updated}
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether theta consists of the structural parameters: there is one test, and all are updated."""
+        """Whether theta simply lists the structural parameters: there is one test, and all of them are updated."""
         return len(self.tests) == 1 and not self.held
 
     def of_model(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters of the model, followed by the inferred standard deviations, at theta (n, ndim).
+        """Return the arguments of `ModelInTests` followed by the inferred error sds, at theta (n, ndim).
 
-        The parameters of the model are the structural parameters in every test, one test after the other
+        The model's arguments are the structural parameters in every test, one test after the other
         (`fmu.posterior.joint.model_in_tests.ModelInTests`).
         """
         if self.is_identity:
@@ -109,12 +109,12 @@ class Layout:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The groups of tests other than the reference; empty if no parameter varies between groups."""
+        """Groups of tests other than the reference; empty if no parameter varies between groups."""
         groups = dict.fromkeys(test.group for test in self.tests if test.group != self.reference)
         return tuple(groups) if self.by_state else ()
 
     def configuration(self) -> dict[str, Plain]:
-        """Return a dict of the data that define the layout, in plain Python types."""
+        """Return the data that define the layout as a dict of plain Python types."""
         return {
             "tests": [test.as_dict() for test in self.tests],
             "populations": {name: one.as_dict() for name, one in self.populations.items()},
@@ -126,9 +126,9 @@ class Layout:
         }
 
     def losses(self, theta: FloatArray) -> FloatArray:
-        """Return the losses 1 − θ/θ_reference of the parameters in `by_state`, shape (n, n_states, n_by_state).
+        """Return the losses 1 − θ/θ_reference for the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        The losses do not include trends with covariates, nor scatter between tests.
+        The losses include neither trends with covariates nor scatter between tests.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def losses_by_test(self, theta: FloatArray) -> FloatArray:
-        """Return the losses in each test of the parameters in `by_date`, shape (n, n_tests, n_by_date)."""
+        """Return the losses in each test for the parameters in `by_date`, shape (n, n_tests, n_by_date)."""
         of = [
             value_of.losses(theta, 0)
             for parameter, value_of in zip(self.structural, self.values_of, strict=True)
@@ -159,7 +159,7 @@ class Layout:
         return np.stack(of, axis=2)
 
     def correlations(self, theta: FloatArray) -> FloatArray:
-        """Return the correlation matrices of the populations, (n, n_populations, n_populations), at n theta."""
+        """Return the populations' correlation matrices at theta, shape (n, n_populations, n_populations)."""
         if self.correlation is None:
             return np.tile(np.eye(len(self.drawn)), (len(theta), 1, 1))
         factor = self.correlation.factor(theta)
@@ -167,29 +167,29 @@ class Layout:
 
     @cached_property
     def drawn(self) -> list[Drawn]:
-        """The structural parameters that scatter over the tests, without their trends."""
+        """Structural parameters that scatter over the tests, without their trends."""
         return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
 
     @property
     def scales(self) -> list[int]:
-        """Sorted indices in theta of the populations' centres, widths, correlations and share of outliers."""
+        """Sorted indices in theta of the populations' centres, widths and correlations, and the outlier share."""
         found = {k for one in self.drawn for k in (one.centre, *one.widths.tolist())}
         return sorted([*found, *(self.density_of_scores.columns if self.density_of_scores else ())])
 
     @property
     def density_of_scores(self) -> Correlation | ContaminatedScores | ScoresInTime | None:
-        """The density of the scores of each test; None if they are independent and standard normal."""
+        """Score density for correlated, outlying or time-dependent scores; None for independent normal scores."""
         return self.in_time or self.outliers or self.correlation
 
     def precision_of_scores(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the precision matrices of the scores z minus I, (n, n_tests, p, p)."""
+        """Return the precision matrices of the scores z minus I, shape (n, n_tests, p, p)."""
         if self.outliers is not None:
             return self.outliers.precision(theta, z)
         known = self.in_time or self.correlation
         return np.zeros((*z.shape, z.shape[2])) if known is None else known.precision(theta)
 
     def remove_centring(self) -> Layout:
-        """Return the layout in the non-centred form, with a centring of zero for all scores."""
+        """Return the layout in its non-centred form, in which all scores are standard normal."""
         references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
 
@@ -200,7 +200,7 @@ class Layout:
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the structural parameters in all tests, (n, n_tests, n_structural), at theta (n, n_parameters).
 
-        Values of parameters that are known in a test have no meaning.
+        Entries for parameters that are known in a test are meaningless.
         """
         return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
 
@@ -215,9 +215,9 @@ class Layout:
         Returns
         -------
         first : ndarray of int, shape (n_distinct,)
-            Index of the first test of each group.
+            Index of the first test in each group.
         row : ndarray of int, shape (len(tests),)
-            For each test, the index into `first` of its group.
+            For each test, its group's index into `first`.
         """
         numbers: dict[Any, int] = {}
         identities = (tuple(self.values_of[j].identity(t) for j in parameters) for t in tests)
@@ -232,14 +232,14 @@ class Layout:
         like: int,
         covariates: Mapping[str, float],
     ) -> FloatArray:
-        """Return draws of the structural parameters in a further test, shape (n, n_structural).
+        """Draw the structural parameters in a further test, shape (n, n_structural).
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         rng : Generator
         scores : ndarray, shape (n, n_populations)
-            The scores of the further test, drawn by `draw_scores`.
+            The further test's scores, drawn by `draw_scores`.
         like : int
             Index of the test whose group the further test belongs to.
         covariates : mapping of str to float
@@ -249,20 +249,20 @@ class Layout:
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
-        """Return draws of scores that are independent in time, shape (n, n_tests, n_populations)."""
+        """Draw scores that are independent in time, shape (n, n_tests, n_populations)."""
         return self.correlate(theta, rng.standard_normal((len(theta), n_tests, len(self.drawn))))
 
     def correlate(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return independent scores z (n, n_tests, n_populations) with the populations' correlation at theta."""
+        """Apply the populations' correlation at theta to independent scores z, (n, n_tests, n_populations)."""
         return z if self.correlation is None else np.einsum("nij,ntj->nti", self.correlation.factor(theta), z)
 
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits that the values rarely exceed, shape (n_tests, n_structural) each."""
+        """Return lower and upper limits that parameter values rarely exceed, each (n_tests, n_structural)."""
         ends = [value_of.box(*box(self.parameters)) for value_of in self.values_of]
         return tuple(np.stack(end, axis=1) for end in zip(*ends, strict=True))  # type: ignore[return-value]
 
     def chain_slopes(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Return the derivatives with respect to theta of m quantities, each of which belongs to one test.
+        """Apply the chain rule: return the derivatives with respect to theta of m quantities, each from one test.
 
         Parameters
         ----------
@@ -285,14 +285,14 @@ class Layout:
         return found
 
     def gradient(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Return the gradient (n, ndim) of a sum of m terms, each of which belongs to one of several tests.
+        """Return the gradient with respect to theta, (n, ndim), of a sum of m terms, each from one test.
 
         Parameters
         ----------
         theta : ndarray, shape (n, ndim)
         slopes : ndarray, shape (n, m, n_structural + n_noise)
-            Derivatives of each term with respect to the structural parameters in its test, followed by those with
-            respect to the inferred standard deviations.
+            Derivatives of each term with respect to the structural parameters in its test, followed by the
+            derivatives with respect to the inferred error sds.
         test : ndarray of int, shape (m,)
             For each term, the index of its test.
         """
@@ -309,10 +309,10 @@ class Layout:
         return found
 
     def log_prior(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the log-density of the prior, (n,), given the log-density of independent parameters.
+        """Return the log-prior (n,), given the log-prior that theta would have if all parameters were independent.
 
         Independent scores are standard normal. Corrections are added for centred scores, whose density depends on
-        the population, and for scores that are correlated or those of outliers.
+        the population, and for scores that are correlated or may be outlying.
         """
         value = independent
         for one in self._centred:
@@ -323,7 +323,7 @@ class Layout:
         return value
 
     def population_scores(self, theta: FloatArray) -> FloatArray:
-        """Return the scores relative to the populations, (n, n_tests, n_populations)."""
+        """Return the scores relative to the populations, shape (n, n_tests, n_populations)."""
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
@@ -350,7 +350,7 @@ class Layout:
     def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
         """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`.
 
-        `independent` is −∇² of the log-density of independent parameters, in the same units.
+        `independent` is −∇² of the log-density for independent parameters, in the same units.
         """
         curvature = independent
         for one in self._centred:
@@ -370,7 +370,7 @@ class Layout:
         return curvature
 
     def draw_from_prior(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return draws from the prior, (n, ndim), given draws of independent parameters in `theta`."""
+        """Convert draws of independent parameters, theta (n, ndim), to draws from the prior."""
         if self.density_of_scores is not None:
             z = self.draw_scores(theta, rng, len(self.tests))
             z = z if self.outliers is None else z * self.outliers.draw_from_prior(rng, theta)
@@ -380,14 +380,14 @@ class Layout:
         return self.restore_scores(theta)
 
     def standardise_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) in which the scores are standard normal: those without centring."""
+        """Return a copy of theta (n, ndim) in which all scores are standard normal (without centring)."""
         found = theta.copy()
         for one in self.drawn:
             found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
         return found
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return theta (n, ndim) with the scores of this layout in place of standard normal scores."""
+        """Convert standard normal scores in theta (n, ndim) to this layout's centring, and return the copy."""
         for one in self._centred:
             theta = one.restore_scores(theta)
         return theta

@@ -1,4 +1,4 @@
-"""One modal test of several: the measured modes, and the known changes of the structure in this test."""
+"""One of several modal tests: its measured modes, and the known changes to the structure in this test."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class TestsError(ValueError):
     Attributes
     ----------
     mistakes : tuple of str
-        One message per error, each preceded by the argument that is wrong: ``tests.2.name: …``.
+        One message per error, each preceded by the wrong argument: ``tests.2.name: …``.
     """
 
     __test__ = False
@@ -49,9 +49,9 @@ class Test:
     group : str
         State, location or season that several tests share, such as ``"before repair"``.
     covariates : mapping of str to float, Prior or None
-        Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``. A
-        value that is known with an error is given as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``. A
-        value that was not measured is None: it is inferred, with a normal prior of the values in the other tests.
+        Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``. Give
+        an uncertain value as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``. Give None for a value that
+        was not measured: it is inferred, with a normal prior fitted to the values in the other tests.
     masses : mapping of node or rigid arm to float, kg
         Point masses that were added for this test. A negative value is a mass that was removed.
     springs : mapping of (node or rigid arm, direction) to float, N/m or N·m/rad
@@ -92,18 +92,18 @@ class Test:
         known: Mapping[str, float] | None = None,
         **options: Any,
     ) -> list[Self]:
-        """Return the tests of a campaign in a CSV table, one row per test, as a list.
+        """Read the tests of a campaign from a CSV table with one row per test, and return them as a list.
 
         Parameters
         ----------
         path : path-like
-            Table with the columns ``name``, ``group`` (may be omitted), one column per mode, Hz, empty or ``nan``
-            where a test missed the mode, and one column per covariate; see `fmu.formats.modes.csv`. Missed modes
-            are left out of a test.
+            Table with the columns ``name``, ``group`` (optional), one column per mode in Hz, and one column per
+            covariate; see `fmu.formats.modes.csv`. A mode that a test missed is empty or ``nan``, and is left out
+            of that test.
         labels : sequence of str
-            Names of the columns with frequencies, in the order of the modes.
+            Names of the frequency columns, in mode order.
         masses, springs, known
-            The attributes of the class with these names, the same for all tests.
+            The class attributes with these names, the same for all tests.
         **options
             Other arguments of `fmu.ModalData` for all modes, such as ``sd_hz`` or ``sensors``.
 
@@ -129,12 +129,12 @@ class Test:
         return (*changes, tuple(self.data.sensors))
 
     def known_covariate(self, name: str) -> float | None:
-        """Return the value of a covariate; None where the test has none, or its value is to be inferred."""
+        """Return the value of a covariate, or None if the test does not have it or its value must be inferred."""
         given = self.covariates.get(name)
         return None if given is None or isinstance(given, Prior) else float(given)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the test's name, group, covariates and known changes, in plain Python types."""
+        """Return the test's name, group, covariates and known changes as a dict of plain Python types."""
         springs: list[list[Plain]] = [
             [str(place), direction, float(k)] for (place, direction), k in self.springs.items()
         ]

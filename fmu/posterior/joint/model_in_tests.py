@@ -1,4 +1,4 @@
-"""One model of a structure in several tests, as a function of the structure's parameters in each test."""
+"""One structural model evaluated in several tests, as a function of the structural parameters in each test."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Configuration:
     parameters : ndarray of int, shape (p,)
         Indices of the structural parameters that the model takes. The remaining structural parameters are known.
     columns : ndarray of int, shape (m,)
-        Indices of the measured modes of these tests among the modes of all tests.
+        Indices of these tests' measured modes among the modes of all tests.
     test, row, mode : ndarray of int, shape (m,)
         For each of these measured modes, the index into `tests`, the index into `distinct`, and the index among
         the modes of `model`.
@@ -50,7 +50,7 @@ class Configuration:
 
     @cached_property
     def without_repetition(self) -> list[IntArray]:
-        """Indices of the measured modes in sets, in each of which no two are the same mode of the same solve."""
+        """Indices of the measured modes, split into sets in which each mode of each solve occurs at most once."""
         pairs = list(zip(self.row.tolist(), self.mode.tolist(), strict=True))
         times = np.array([pairs[:i].count(pair) for i, pair in enumerate(pairs)])
         return [np.flatnonzero(times == k) for k in range(int(times.max()) + 1)]
@@ -61,20 +61,19 @@ class Configuration:
         return own.reshape(-1, len(self.parameters))
 
     def pick(self, found: FloatArray) -> FloatArray:
-        """Return the entries of the measured modes, (n, m, …), from all modes, (n · n_distinct, n_modes, …)."""
+        """Return the entries for the measured modes, (n, m, …), from all modes, (n · n_distinct, n_modes, …)."""
         return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
     def pick_shapes(self, found: FloatArray) -> FloatArray:
-        """Return the entries of the measured modes, (n, q, m, …), from (n · n_distinct, q, n_modes, …)."""
+        """Return the entries for the measured modes, (n, q, m, …), from (n · n_distinct, q, n_modes, …)."""
         return np.moveaxis(self.pick(np.moveaxis(found, 1, 2)), 1, 2)
 
 
 class ModelInTests(ModalModel):
-    """The modes of a structure in all tests, as a function of the structure's parameters in each test.
+    """The modes of a structure in all tests, as a function of the structural parameters in each test.
 
-    An evaluation of all tests counts as one solve. The derivatives of a mode are with respect to the P structural
-    parameters in the test of this mode only, because the derivatives with respect to other tests' parameters are
-    zero.
+    An evaluation of all tests counts as one solve. A mode's derivatives are with respect to the P structural
+    parameters in its own test only, because the derivatives with respect to other tests' parameters are zero.
 
     Parameters
     ----------
@@ -83,9 +82,9 @@ class ModelInTests(ModalModel):
     tests : sequence of str
         Names of the tests.
     n_structural : int
-        P, the number of parameters of the structure.
+        P, the number of structural parameters.
     n_modes : int
-        Number of measured modes of all tests together.
+        Number of measured modes in all tests together.
 
     Attributes
     ----------
@@ -126,17 +125,17 @@ class ModelInTests(ModalModel):
 
     @property
     def truth(self) -> ModelInTests:
-        """The same model with the true model of each configuration in place of its approximation."""
+        """The same model with each configuration's true model in place of its approximation."""
         return self._with([model.truth for model in self.parts])
 
     @property
     def full_solves(self) -> int:  # type: ignore[override]
-        """Number of points at which a full model was solved although there is a reduced model."""
+        """Number of points at which a full model was solved although a reduced model exists."""
         return sum(model.full_solves for model in self.parts)
 
     @property
     def sizes(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The number of unknowns of each block of the reduced models."""
+        """Number of unknowns in each block of the reduced models."""
         return tuple(size for model in self.parts for size in model.sizes)
 
     @property
@@ -146,11 +145,11 @@ class ModelInTests(ModalModel):
 
     @property
     def functions(self) -> tuple[BlackBoxModel, ...]:  # type: ignore[override]
-        """The users' functions that the configurations' models call, without repetition."""
+        """The different user functions that the configurations' models call."""
         return tuple(dict.fromkeys(function for model in self.parts for function in model.functions))
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the time in s that users' functions take at a theta (n_parameters,); None without functions."""
+        """Return the time in s that users' functions take at theta (n_parameters,), or None if there are none."""
         found = []
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
@@ -158,7 +157,7 @@ class ModelInTests(ModalModel):
         return sum(one * n for one, n in found if one is not None) if self.functions else None
 
     def coarser(self, share: float) -> Self:
-        """Return the model with a coarser model of each configuration; itself if no coarser model exists."""
+        """Return a model with coarser models in all configurations, or the same model if there are none."""
         return self._with([model.coarser(share) for model in self.parts])
 
     def _with(self, models: Sequence[ModalModel]) -> Self:
@@ -168,9 +167,9 @@ class ModelInTests(ModalModel):
         return type(self)(both, self.tests, self.n_structural, self.n_modes)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first matrices that depend on structural parameter `k`, and the index of `k` in their model.
+        """Return the first model whose matrices depend on structural parameter `k`, and the index of `k` in it.
 
-        The result is None if no matrices depend on it.
+        Return None if no matrices depend on it.
         """
         for part in self.configurations:
             if k in part.parameters:
@@ -178,7 +177,7 @@ class ModelInTests(ModalModel):
         return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield name, model and model parameters of each test without frequencies at a theta (n_parameters,).
+        """Yield name, model and model parameters of each test that has no frequencies at theta (n_parameters,).
 
         With a user's function every solved test is yielded, because the function is not called again.
         """
@@ -192,9 +191,9 @@ class ModelInTests(ModalModel):
                 yield self.tests[part.distinct[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Return the results of `of` for all measured modes, shape (n, n_modes, …).
+        """Apply `of` to the model and parameters of each configuration; return its results for all measured modes.
 
-        `of` is called with the model and the parameters of each configuration.
+        The result has the shape (n, n_modes, …).
         """
         values = self._in_tests(theta)
         seen = [part.pick(of(part.model, part.points(values))) for part in self.configurations]
@@ -208,7 +207,7 @@ class ModelInTests(ModalModel):
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return the frequencies in Hz of a test's measured modes at the parameters in it, (n, n_structural)."""
+        """Return one test's frequencies in Hz for its measured modes, at parameter `values` (n, n_structural)."""
         part = next(one for one in self.configurations if test in one.tests)
         modes = part.mode[part.tests[part.test] == test]
         return part.model.frequencies(values[:, part.parameters])[:, modes]
@@ -216,7 +215,7 @@ class ModelInTests(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz, (n, n_modes), and their derivatives, (n, n_modes, n_structural).
 
-        The derivatives of a mode are with respect to the structural parameters in the test of this mode.
+        A mode's derivatives are with respect to the structural parameters in its own test.
         """
         values = self._in_tests(theta)
         frequencies = np.empty((len(theta), self.n_modes))
@@ -230,8 +229,8 @@ class ModelInTests(ModalModel):
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies and derivatives; see `ModalModel`.
 
-        Gradient and directions have n_structural components, as in `frequencies_and_gradient`; so have the bounds
-        of `steps`, and its sizes n_parameters.
+        The gradient, the directions and the bounds in `steps` have n_structural components, as in
+        `frequencies_and_gradient`; the step sizes have n_parameters components.
         """
         values, sizes = self._in_tests(theta), self._in_tests(steps.size)
         parts = []
@@ -241,7 +240,7 @@ class ModelInTests(ModalModel):
         return _SensitivitiesInTests(parts, (len(theta), self.n_modes, self.n_structural))
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, with derivatives as in `frequencies_and_gradient`."""
+        """Return frequencies and mode shapes at the sensors, with derivatives as in `frequencies_and_gradient`."""
         values = self._in_tests(theta)
         n, m, p = len(theta), self.n_modes, self.n_structural
         seen = [part.model.observed(part.points(values), gradient) for part in self.configurations]
@@ -260,7 +259,7 @@ class ModelInTests(ModalModel):
         return ModalPrediction(frequencies, shapes, by_frequency, by_shape)
 
     def configuration(self) -> dict[str, Plain]:
-        """Return a dict of the data that identify the model, in plain Python types."""
+        """Return the data that identify the model as a dict of plain Python types."""
         return {
             "configurations": [
                 {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
@@ -273,7 +272,7 @@ class ModelInTests(ModalModel):
 
 
 class _SensitivitiesInTests(Sensitivities):
-    """The sensitivities of the configurations of several tests, (n, m, n_structural) together."""
+    """Sensitivities in several tests, joined from all configurations; gradient shape (n, m, n_structural)."""
 
     def __init__(self, parts: Sequence[tuple[Configuration, Sensitivities]], shape: tuple[int, int, int]) -> None:
         self._parts = parts
@@ -292,7 +291,10 @@ class _SensitivitiesInTests(Sensitivities):
             self.shape_slopes[:, :, part.columns[:, None], part.parameters] = moved
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return second derivatives along `d` plus the weighted ones of shapes; see `Sensitivities.curvature`."""
+        """Return second derivatives along `d`, plus weighted second derivatives of mode shapes.
+
+        See `Sensitivities.curvature`.
+        """
         found = np.zeros(d.shape)
         for part, model in self._parts:
             own = d[:, part.columns[:, None], part.parameters]

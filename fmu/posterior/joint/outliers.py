@@ -1,14 +1,14 @@
-"""Tests that are outliers: their scores have a wider distribution than the scores of other tests.
+"""Outlying tests, whose scores have a wider distribution than the scores of other tests.
 
-With the probability ε, a test is an outlier of one of m kinds c that are equally probable: the score of a single
-population, or all scores, are s times as large (a contaminated normal distribution; Tukey 1960, in *Contributions
-to Probability and Statistics*, Stanford University Press, 448–485). Let the diagonal matrix D_c have these factors
-of 1 and s, and let R be the correlation matrix of the populations. The density of the scores of a test is
+With probability ε, a test is an outlier of one of m equally probable kinds c: the score in a single population, or
+all scores, are s times as large (a contaminated normal distribution; Tukey 1960, in *Contributions to Probability
+and Statistics*, Stanford University Press, 448–485). Let the diagonal matrix D_c hold these factors of 1 and s,
+and let R be the populations' correlation matrix. The density of a test's scores is
 
     p(z) = (1 − ε) N(z; 0, R) + ε/m Σ_c N(z; 0, D_c R D_c).
 
 It sums exactly over the possible outliers. The probability that a test is an outlier of kind c, given the data, is
-the posterior mean of the share of term c in the sum.
+the posterior mean of term c's share in the sum.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ NAME = "share of outliers"
 @check_arguments
 @dataclass(frozen=True)
 class Outliers:
-    """Some tests may be outliers: the values of one population, or of all, are drawn from a wider distribution.
+    """Some tests may be outliers: the values in one population, or in all, are drawn from a wider distribution.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Outliers:
     Raises
     ------
     ValueError
-        If the share is not between 0 and 1, a prior is not a prior on [0, 1], or the scale does not exceed 1.
+        If the share is not between 0 and 1, its prior does not cover [0, 1], or the scale does not exceed 1.
     """
 
     share: float | ScaledBeta = 0.05
@@ -63,28 +63,29 @@ class Outliers:
 
     @property
     def prior(self) -> ScaledBeta | None:
-        """The prior of the share; None if the share is known."""
+        """Prior of the outlier share; None if the share is known."""
         return self.share if isinstance(self.share, ScaledBeta) else None
 
     @property
     def parameter(self) -> Parameter | None:
-        """The share as a parameter of theta; None if it is known."""
+        """The outlier share as a parameter of theta; None if it is known."""
         prior = self.prior
         return None if prior is None else Parameter(NAME, prior.a / (prior.a + prior.b), 0.0, 1.0, prior)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         return {"share": settings_of(self.share), "scale": self.scale}
 
 
 class _Terms(NamedTuple):
-    """The terms of the density of the scores of each test, for the regular tests and each kind of outlier.
+    """Terms of each test's score density, one for regular tests and one for each kind of outlier.
 
     Attributes
     ----------
     log : ndarray, shape (n, n_kinds, n_tests)
         Logarithms of the terms, relative to the density of independent standard normal scores.
     by_score : ndarray, shape (n, n_kinds, n_tests, p)
+        Derivatives of `log` with respect to the scores.
     """
 
     log: FloatArray
@@ -93,17 +94,17 @@ class _Terms(NamedTuple):
 
 @dataclass(frozen=True)
 class ContaminatedScores:
-    """The density of the scores of tests that may be outliers.
+    """Score density for tests that may be outliers.
 
     Attributes
     ----------
     of : Outliers
     share : int or None
-        Index in theta of ε; None if it is known.
+        Index of the outlier share ε in theta; None if it is known.
     scored : ndarray of bool, shape (n_tests, p)
         Whether a test has a score in a population. A missing score cannot be an outlier.
     correlation : Correlation or None
-        The correlation of the populations; None if they are independent.
+        Correlation between the populations; None if they are independent.
     """
 
     of: Outliers
@@ -113,17 +114,20 @@ class ContaminatedScores:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Indices in theta of the partial correlations and of ε."""
+        """Indices in theta of the partial correlations and of the outlier share."""
         return (*(self.correlation.columns if self.correlation else ()), *self.of_share)
 
     @property
     def of_share(self) -> tuple[int, ...]:
-        """Index in theta of ε; empty if it is known."""
+        """Index of the outlier share in theta; empty if it is known."""
         return () if self.share is None else (self.share,)
 
     @cached_property
     def scales(self) -> FloatArray:
-        """Diagonals of D_c in each test, (n_kinds, n_tests, p); the first kind is a regular test."""
+        """Factors on the score standard deviations, (n_kinds, n_tests, p): the diagonals of D_c.
+
+        The first kind is a regular test.
+        """
         p = self.scored.shape[1]
         kinds = np.ones((1 + p + (p > 1), p))
         kinds[1 : 1 + p][np.eye(p, dtype=bool)] = self.of.scale
@@ -132,7 +136,7 @@ class ContaminatedScores:
 
     @cached_property
     def is_outlier(self) -> BoolArray:
-        """Whether a test of each kind is an outlier, (n_kinds, n_tests)."""
+        """Mask of the kinds that make a test an outlier, shape (n_kinds, n_tests)."""
         return np.asarray((self.scales > 1.0).any(axis=2))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -142,6 +146,7 @@ class ContaminatedScores:
         ----------
         theta : ndarray, shape (n, n_parameters)
         z : ndarray, shape (n, n_tests, p)
+            Scores.
 
         Returns
         -------
@@ -167,7 +172,7 @@ class ContaminatedScores:
         return value, by_score, np.concatenate([np.zeros((len(theta), 0)), *by_columns], axis=1)
 
     def precision(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the expected precision of scores z minus I, (n, n_tests, p, p), over the kinds of tests."""
+        """Return the scores' expected precision minus I over the kinds of test, shape (n, n_tests, p, p)."""
         share_of = self.probabilities(theta, z)
         every = [self.precision_of(theta, scales[None]) for scales in self.scales]
         eye = np.eye(z.shape[2])
@@ -175,45 +180,42 @@ class ContaminatedScores:
         return np.asarray(found - eye)
 
     def precision_of(self, theta: FloatArray, scales: FloatArray) -> FloatArray:
-        """Return (D R D)⁻¹ for the diagonals D, (n, n_tests, p): shape (n, n_tests, p, p)."""
+        """Return (D R D)⁻¹, shape (n, n_tests, p, p), for the diagonals D in `scales`, (n, n_tests, p)."""
         inverse = np.eye(scales.shape[2]) + (
             0.0 if self.correlation is None else self.correlation.precision(theta)
         )
         return np.asarray(inverse / (scales[..., :, None] * scales[..., None, :]))
 
     def weights(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the expected 1/D² of each score z, (n, n_tests, p): one for a regular test."""
+        """Return the expected 1/D² of each score in z, shape (n, n_tests, p); it is 1 for a regular test."""
         return np.einsum("nct,ctp->ntp", self.probabilities(theta, z), self.scales**-2.0)
 
     def probabilities(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the probabilities of the kinds of each test, (n, n_kinds, n_tests), with the scores z."""
+        """Return each test's probability of being of each kind, (n, n_kinds, n_tests), given its scores z."""
         terms = self._terms(theta, z).log
         return np.exp(terms - logsumexp(terms, axis=1)[:, None])
 
     def outlying(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability that a test is an outlier, and the probability that each population's score is.
-
-        The shapes are (n, n_tests) and (n, n_tests, p).
-        """
+        """Return the probability that each test is an outlier, (n, n_tests), and each score, (n, n_tests, p)."""
         share_of = self.probabilities(theta, z)
         return self._outlying(share_of), np.einsum("nct,ctp->ntp", share_of, (self.scales > 1.0).astype(float))
 
     def draw_from_prior(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
-        """Return diagonals D of tests drawn from the prior, (n, n_tests, p)."""
+        """Draw the score scales, the diagonals D, from their prior; shape (n, n_tests, p)."""
         return self._draw(rng, self._log_weights(theta))
 
     def draw_scales(self, rng: np.random.Generator, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return diagonals D of the tests, (n, n_tests, p), drawn given their scores z."""
+        """Draw the score scales, the diagonals D, given the scores z; both have shape (n, n_tests, p)."""
         return self._draw(rng, self._terms(theta, z).log)
 
     def likeliest_scales(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the most probable diagonals D of the tests, (n, n_tests, p), given their scores z."""
+        """Return the most probable score scales, the diagonals D, given the scores z; shape (n, n_tests, p)."""
         return self._select(np.argmax(self._terms(theta, z).log, axis=1))
 
     def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:
-        """Return a copy of theta with ε drawn given the diagonals D of the tests, (n, n_tests, p).
+        """Return a copy of theta with the outlier share ε drawn given the score scales (n, n_tests, p).
 
-        The distribution of ε is then beta, with the numbers of outliers and of other tests added to a and b.
+        Its conditional distribution is beta: the numbers of outliers and of regular tests are added to a and b.
         """
         prior = self.of.prior
         if self.share is None or prior is None:
@@ -238,7 +240,7 @@ class ContaminatedScores:
         return _Terms(logs, np.stack(slopes, axis=1))
 
     def _log_weights(self, theta: FloatArray) -> FloatArray:
-        """Return the logarithms of the prior probabilities of the kinds, (n, n_kinds, n_tests)."""
+        """Return the log-prior probabilities of each test's kinds, shape (n, n_kinds, n_tests)."""
         epsilon = np.full(len(theta), self.of.share) if self.share is None else theta[:, self.share]
         m = self.is_outlier.sum(axis=0)
         with np.errstate(divide="ignore"):

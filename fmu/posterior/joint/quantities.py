@@ -23,14 +23,14 @@ from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
-    """The error models of several tests: error models of modes, and error models of other quantities.
+    """Error models for several tests, split into error models of modes and of other measured quantities.
 
     Attributes
     ----------
     of_modes : str or sequence of ErrorModel
-        Error models of the modes of all tests; ``"frequency"`` if none is given.
+        Error models for the modes of all tests; ``"frequency"`` if none is given.
     of_quantities : mapping of int to QuantityErrors
-        Error models of masses, displacements and FRFs, by their index in the argument `error`.
+        Error models for masses, displacements and FRFs, keyed by their index in the argument `error`.
     """
 
     of_modes: Any
@@ -38,7 +38,7 @@ class Errors(NamedTuple):
 
     @classmethod
     def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
-        """Return the user's error models, split into error models of modes and of other quantities."""
+        """Split the user's error models into those for modes and those for other quantities."""
         given: Any = as_list(error)
         quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
         if not quantities:
@@ -47,18 +47,18 @@ class Errors(NamedTuple):
 
     @property
     def of_frfs(self) -> dict[int, FRFErrors]:
-        """The error models of frequency response functions, by their index in the argument `error`."""
+        """Error models for frequency response functions, keyed by their index in the argument `error`."""
         return {i: one for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)}
 
     def damping_parameters(self) -> list[Parameter]:
-        """Return a list of the damping parameters of all tests, each listed once."""
+        """Return the damping parameters of all tests, each listed once."""
         found: list[Parameter] = []
         for one in self.of_frfs.values():
             found += [p for p in inferred_in(one.damping) if p not in found]
         return found
 
     def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
-        """Return a list of messages on contradictions between error models, model and tests."""
+        """Return messages about contradictions between error models, model and tests."""
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
@@ -94,7 +94,7 @@ class StructureInTest(NamedTuple):
     ----------
     structure : SeparableModel
     parameters : list of Parameter
-        Its p parameters, with the bounds that their values have in the test.
+        Its p parameters, bounded by the values that they can take in the test.
     test : int
         Index of the test.
     numbers : ndarray of int, shape (p,)
@@ -108,7 +108,7 @@ class StructureInTest(NamedTuple):
 
     @classmethod
     def of(cls, test: str | None, joint: ModelInTests, layout: Layout) -> StructureInTest:
-        """Return the structure in the test of this name."""
+        """Return the structure in the test named `test`."""
         lower, upper = layout.box()
         t = joint.tests.index(str(test))
         part = next(part for part in joint.configurations if t in part.tests)
@@ -119,9 +119,9 @@ class StructureInTest(NamedTuple):
 def bind_quantities(
     given: Mapping[int, QuantityErrors], joint: ModelInTests, layout: Layout
 ) -> tuple[QuantityTerm, ...]:
-    """Return one term per error model of quantities, as a function of the parameters in all tests.
+    """Return one likelihood term per error model in `given`, as a function of the parameters in all tests.
 
-    The labels of a term begin with the name of its test. `given` has the error models by their index in `error`.
+    A term's labels begin with the name of its test. `given` is keyed by the error model's index in `error`.
 
     Raises
     ------
@@ -144,19 +144,19 @@ def bind_quantities(
 
 @dataclass(frozen=True, eq=False)
 class InOneTest:
-    """Quantities of the structure in one test, as a function of the parameters in all tests.
+    """Quantities computed for the structure in one test, as a function of the parameters in all tests.
 
     Attributes
     ----------
     computed : callable
-        The quantities as a function of p structural parameters in the test, see
+        Computes the quantities from p structural parameters in the test; see
         `fmu.posterior.errors.quantities.QuantityTerm`.
     columns : ndarray of int, shape (p,)
         Indices of the p parameters among the parameters in all tests.
     parameters : ndarray of int, shape (p,)
         Indices of the p parameters among the structural parameters.
     n_structural : int
-        Number of parameters of the structure.
+        Number of structural parameters.
     """
 
     computed: Callable[[FloatArray, bool], tuple[FloatArray, FloatArray | None]]
@@ -167,7 +167,7 @@ class InOneTest:
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return the values, (n, q), and their derivatives with respect to the structural parameters in the test.
 
-        The derivatives have the shape (n, q, n_structural); they are None without `gradient`.
+        The derivatives have the shape (n, q, n_structural); they are None unless `gradient` is True.
         """
         values, by_own = self.computed(theta[:, self.columns], gradient)
         if by_own is None:
@@ -178,14 +178,14 @@ class InOneTest:
 
 
 def over(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return `p` if its bounds contain the interval, else `p` with the interval as bounds and a uniform prior."""
+    """Return `p` if its bounds contain the interval; otherwise a copy bounded to it, with a uniform prior."""
     if p.lower <= lower and upper <= p.upper:
         return p
     return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
 
 
 def _close_box(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return `p` with finite bounds: as `over`, with the interval's limits in place of infinite bounds."""
+    """Return `p` widened as by `over`, with the interval's limits in place of bounds that are infinite."""
     found = over(p, lower, upper)
     low = found.lower if np.isfinite(found.lower) else float(lower)
     high = found.upper if np.isfinite(found.upper) else float(upper)

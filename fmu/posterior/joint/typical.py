@@ -1,4 +1,4 @@
-"""A typical point of a hierarchical posterior, whose maximum lies far from most of the probability."""
+"""Find a typical point of a hierarchical posterior, whose maximum lies far from most of the probability."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
     """Return a point in the bulk of a hierarchical posterior, in scaled coordinates, shape (ndim,).
 
     The maximum of a hierarchical posterior density is not meaningful: it depends on the coordinates, and lies
-    where the populations are far too wide or too narrow. At the typical point, the means, standard deviations and
-    correlations of the populations approximately maximise the posterior after the tests' own values are integrated
+    where the populations are far too wide or too narrow. At the typical point, the populations' means, standard
+    deviations and correlations approximately maximise the posterior after each test's own values are integrated
     out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39,
     1–38). All other parameters have their most probable values given these.
 
@@ -47,10 +47,10 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
 
 
 def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
-    """Return −∇² log P at a typical point u (ndim,), in scaled coordinates, (ndim, ndim).
+    """Return −∇² log P at a typical point u (ndim,), shape (ndim, ndim), in scaled coordinates.
 
-    It is the Gauss–Newton Hessian. The rows and columns of the populations' means, standard deviations and
-    correlations are computed by finite differences of the gradient.
+    It is the Gauss–Newton Hessian. Rows and columns for the populations' means, standard deviations and
+    correlations are finite differences of the gradient.
     """
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]
@@ -63,12 +63,12 @@ def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
 
 
 def centre_scores(problem: UpdatingProblem) -> Layout:
-    """Return the layout with the centring of each score that makes the posterior easiest to sample.
+    """Return the layout in which the scores are centred so that the posterior is easiest to sample.
 
-    Let C be the variance of a value given its test alone, and σ² the variance of the population. The best weight
-    of the centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, where a centred
-    form has its funnel. The smallest probable σ is σ exp(−2/√(2 Σ w²)), because log σ has the information 2 Σ w².
-    If σ may be zero, no score is centred.
+    Let C be a value's variance given its own test alone, and σ² the population's variance. The best weight for the
+    centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, where a centred form has
+    its funnel. This σ is taken as σ exp(−2/√(2 Σ w²)), because the information on log σ is 2 Σ w². If σ may be
+    zero, no score is centred.
 
     Parameters
     ----------
@@ -91,10 +91,10 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
 
 
 def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the typical point (ndim,) of a problem without centring, and the variances of the scores around it.
+    """Return the typical point (ndim,) of a problem without centring, and the score variances around it.
 
-    The variances, (ndim,), hold for fixed means, standard deviations and correlations of the populations; for
-    parameters other than scores they are zero.
+    The variances, shape (ndim,), hold for fixed population means, standard deviations and correlations. They are
+    zero for parameters other than scores.
     """
     layout, scores = problem.layout, Scores.of(problem.layout)
     held = np.union1d(scores.columns[scores.scored], layout.scales).astype(np.int64)
@@ -130,13 +130,13 @@ def _date_events(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
 
 
 def _weights(layout: Layout, theta: FloatArray) -> FloatArray:
-    """Return the weights of the tests in each population, (p, n_tests): small for outliers, else one."""
+    """Return each test's weight in each population, shape (p, n_tests): small for outliers, otherwise one."""
     z = np.stack([one.population_scores(theta[None])[0] for one in layout.drawn], axis=2)
     return np.ones(z.shape[:0:-1]) if layout.outliers is None else layout.outliers.weights(theta[None], z)[0].T
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
-    """Set the populations' correlations in `theta` from the second moments of the scores, with their variances."""
+    """Set the populations' correlations in `theta` from the scores' second moments, including their `variance`."""
     correlation: Any = layout.correlation
     found = [one.population_scores(theta[None]) for one in layout.drawn]
     z = np.stack([z[0] for z, _ in found], axis=1)
@@ -154,7 +154,7 @@ def _most_probable(
 ) -> float:
     """Set a population's centre and widths in `theta` from its values; return the largest change in widths.
 
-    `of_tests`, (n_tests,), are weights of the tests.
+    `of_tests`, shape (n_tests,), weights the tests.
     """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]

@@ -1,4 +1,4 @@
-"""Densities of a hierarchical posterior: scores given the main parameters, and main parameters without the scores.
+"""Conditional densities of a hierarchical posterior: scores given main parameters, and main parameters alone.
 
-The main parameters are all parameters of theta except the scores (`fmu.posterior.joint`).
+The main parameters are all parameters in theta except the scores (`fmu.posterior.joint`).
 """

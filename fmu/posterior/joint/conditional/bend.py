@@ -1,12 +1,12 @@
-"""Curved ridges in the density of a test's scores, if precise data leave some combinations of scores undetermined.
+"""Curved ridges in the density of a test's scores, when precise data leave some score combinations undetermined.
 
-Along such a combination the other combinations follow a curve, to second order a parabola. Let the coordinates y
-have unit variances in the normal approximation, in the order of decreasing variances of the scores. The density is
-close to a normal distribution of the y with
+Along an undetermined combination the other combinations follow a curve, to second order a parabola. Let the
+coordinates y have unit variances in the normal approximation, sorted by decreasing score variance. The density is
+close to a normal distribution for y, with
 
 x_j = y_j + Σ_(i,k<j) Q_jik y_i y_k,
 
-where x are the same coordinates of the scores. The map from y to x has a determinant of one (compare the test
+where x are the scores in the same coordinates. The map from y to x has determinant one (compare the test
 distributions of Haario, Saksman & Tamminen 1999, *Comput. Stat.* 14, 375–395).
 """
 
@@ -21,16 +21,16 @@ from fmu.types import FloatArray
 
 
 class Bend(NamedTuple):
-    """The parabolas that the densities of each test's scores follow.
+    """Parabolas along which each test's score density is curved.
 
     Attributes
     ----------
     forward, inverse : ndarray, shape (n_tests, p, p)
-        The matrix that maps the distance of the scores from a centre to coordinates, and its inverse.
+        The matrix that maps a score's distance from the centre to coordinates, and its inverse.
     curvature : ndarray, shape (n_tests, p, p, p)
         The coefficients Q.
     slopes : ndarray, shape (n_tests, p)
-        Derivatives of the values with respect to the scores, for which the matrices are valid.
+        Derivatives of parameter values with respect to scores at which the matrices are valid.
     """
 
     forward: FloatArray
@@ -46,8 +46,9 @@ class Curve(NamedTuple):
     ----------
     of : Bend
     centre : ndarray, shape (n, n_tests, p)
+        Scores at the centre.
     stretch : ndarray, shape (n, n_tests, p)
-        Derivatives of the values with respect to the scores, relative to the `slopes` of the bend.
+        Derivatives of parameter values with respect to scores, relative to the bend's `slopes`.
     """
 
     of: Bend
@@ -55,13 +56,13 @@ class Curve(NamedTuple):
     stretch: FloatArray
 
     def bend(self, z: FloatArray) -> FloatArray:
-        """Return the scores (n, n_tests, p) for straightened scores z."""
+        """Return the scores (n, n_tests, p) that correspond to straightened scores z of the same shape."""
         y = np.einsum("tij,ntj->nti", self.of.forward, self.stretch * (z - self.centre))
         added = np.einsum("tjik,nti,ntk->ntj", self.of.curvature, y, y)
         return np.asarray(z + np.einsum("tij,ntj->nti", self.of.inverse, added) / self.stretch)
 
     def straighten(self, z: FloatArray) -> FloatArray:
-        """Return the straightened scores (n, n_tests, p) for scores z; the inverse of `bend`."""
+        """Return straightened scores (n, n_tests, p) for scores z; this is the inverse of `bend`."""
         y = np.einsum("tij,ntj->nti", self.of.forward, self.stretch * (z - self.centre))
         added = np.zeros_like(y)
         for j in range(1, y.shape[2]):
@@ -74,16 +75,18 @@ class Curve(NamedTuple):
 def find_bend(
     gradient: Callable[[FloatArray], FloatArray], mean: FloatArray, precision: FloatArray, slopes: FloatArray
 ) -> Bend:
-    """Return the parabolas about the most probable scores.
+    """Return the parabolas about each test's most probable scores.
 
     Parameters
     ----------
     gradient : callable
-        Returns the gradients of the log-densities of each test's scores, at scores (n, n_tests, p).
+        Returns the gradients of each test's score log-density at scores (n, n_tests, p), with the same shape.
     mean : ndarray, shape (n_tests, p)
+        The most probable scores.
     precision : ndarray, shape (n_tests, p, p)
+        Precision matrices of the normal approximation.
     slopes : ndarray, shape (n_tests, p)
-        Derivatives of the values with respect to the scores.
+        Derivatives of parameter values with respect to scores.
 
     Notes
     -----

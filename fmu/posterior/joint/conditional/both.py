@@ -1,4 +1,4 @@
-"""The two conditional densities of a hierarchical problem between which its sampler alternates."""
+"""The two conditional densities between which the sampler of a hierarchical problem alternates."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _CLIMBED = 0.01
 
 
 class Conditionals(NamedTuple):
-    """The densities of scores and of main parameters of a hierarchical problem, with standard normal scores.
+    """The score density and the main-parameter density of a hierarchical problem, with standard normal scores.
 
     The scores are treated as independent in time.
 
@@ -43,18 +43,18 @@ class Conditionals(NamedTuple):
     scores : ScoresGivenMain
     marginal : MarginalOfMain
     normal : FittedNormal
-        The normal distribution that is closest to `marginal`.
+        The normal distribution closest to `marginal`.
     noise : ndarray, shape (n_noise,)
-        Relative standard deviations of the inferred standard deviations of errors; at most one.
+        Relative posterior standard deviations of the inferred error sds, at most one.
     noise_prior : JointPrior
-        Prior of these standard deviations.
+        Prior of the error sds.
     populations : PopulationsGivenValues
     events : tuple of DateOfEvent
-        The sudden losses at unknown dates.
+        Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
-        Standard deviations of the scores at the typical point, which differ from 1 for outliers only.
+        Prior standard deviations of the scores at the typical point; they differ from 1 for outliers only.
     """
 
     scores: ScoresGivenMain
@@ -72,7 +72,7 @@ _KNOWN: WeakKeyDictionary[UpdatingProblem, Conditionals] = WeakKeyDictionary()
 
 
 def conditionals(problem: UpdatingProblem) -> Conditionals:
-    """Return the densities of a problem with populations; they are computed once per problem."""
+    """Return the conditional densities of a problem with populations, computed once per problem and cached."""
     if problem not in _KNOWN:
         _KNOWN[problem] = _compute(problem)
     return _KNOWN[problem]
@@ -81,12 +81,12 @@ def conditionals(problem: UpdatingProblem) -> Conditionals:
 def scatter_about_typical(
     problem: UpdatingProblem, rng: np.random.Generator, n: int, dispersion: float
 ) -> FloatArray:
-    """Return `n` points about the typical point of a hierarchical posterior, (n, ndim), with finite densities.
+    """Return `n` starting points about the typical point of a hierarchical posterior, shape (n, ndim).
 
-    The main parameters scatter by their fitted normal distribution, the scores by their normal approximations,
-    both `dispersion` times as wide. A point is moved halfway to the typical point until it is inside the bounds,
-    has a finite density, and has main parameters that are about as probable as draws from that normal
-    distribution.
+    Main parameters are drawn from their fitted normal distribution and scores from their normal approximations,
+    both widened by the factor `dispersion`. Each point is moved halfway to the typical point, repeatedly, until it
+    is inside the bounds, has a finite density, and its main parameters are about as probable as draws from that
+    normal distribution.
     """
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores
@@ -153,7 +153,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
 
 
 def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return the most probable standard deviations of the scores without the data; see `Linear.scales`."""
+    """Return the most probable prior standard deviations of the scores at theta; see `Linear.scales`."""
     outliers = plain.layout.outliers
     return REGULAR if outliers is None else outliers.likeliest_scales(theta, Scores.of(plain.layout).take(theta))
 
@@ -161,14 +161,14 @@ def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
 def _about(
     plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> tuple[ScoresGivenMain, MarginalOfMain]:
-    """Return the densities of scores and of main parameters, expanded about theta, (1, ndim)."""
+    """Return the score density and the main-parameter density, expanded about theta, shape (1, ndim)."""
     expansion = expand(plain.layout, likelihood_of_tests(plain), theta[0])
     scores = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta, scales)
     return scores, MarginalOfMain(plain, scores, theta)
 
 
 def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, scales: FloatArray) -> FittedNormal:
-    """Return the normal distribution that is closest to the density of the main parameters."""
+    """Return the normal distribution closest to the main-parameter density; the search starts at theta."""
 
     def gradient(w: FloatArray) -> FloatArray:
         return marginal.log_prob_and_grad(w, np.repeat(theta, len(w), axis=0), scales)[1]
@@ -180,7 +180,7 @@ def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, sc
 def _bend(
     straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> ScoresGivenMain:
-    """Return the density of the scores with curved approximations, if the ridges of some are noticeably curved."""
+    """Return the score density with curved approximations if any ridges are noticeably curved, else `straight`."""
 
     def gradient(z: FloatArray) -> FloatArray:
         slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]

@@ -1,15 +1,16 @@
-"""Dates of sudden losses with all scores integrated out, all dates at once.
+"""Proposals for the dates of sudden losses, with all scores integrated out and all dates considered at once.
 
-The loss of a test is a share r of the losses d of its event: zero before the date, one after it, and between them
-where the date is in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, the
-log-evidence E_t of a test depends on r d alone. It is found without the loss, E_t(0), and to second order about
-typical losses (`ScoresGivenMain.log_evidence`). So the log-density of date and losses, given all other main
-parameters, is a sum over the tests before the date and a quadratic form of d over those after it. Both are
-cumulative sums over the times of the tests, so that all dates together cost two evaluations of E. Date and losses
-are drawn from it together: the interval of the date, the date uniformly within it, and the losses from a normal
-distribution. Such draws, which depend neither on the present date nor on the present losses, are candidates: the
-losses would hold a date that moves alone, and the reverse (collapsed Gibbs steps, Liu 1994, *J. Am. Stat. Assoc.*
-89, 958–966).
+A test's loss is a share r of its event's losses d: zero before the date, one after it, and in between where the
+date lies in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, a test's log-evidence
+E_t depends on r d alone. It is computed without the loss, E_t(0), and to second order about typical losses
+(`ScoresGivenMain.log_evidence`). Given all other main parameters, the log-density of date and losses is then a sum
+over the tests before the date and a quadratic form in d over the tests after it. Both are cumulative sums over the
+test times, so all dates together cost two evaluations of E.
+
+Date and losses are proposed together: first the interval that contains the date, then the date uniformly within
+it, then the losses from a normal distribution. The proposal depends on neither the present date nor the present
+losses, because each of them alone would pin the other (collapsed Gibbs steps, Liu 1994, *J. Am. Stat. Assoc.* 89,
+958–966).
 """
 
 from __future__ import annotations
@@ -35,15 +36,16 @@ _SD = 0.3
 
 
 class _GivenDate(NamedTuple):
-    """The density of the losses of an event for each interval of its date, and the probability of the interval.
+    """Density of an event's losses for each interval of its date, and the interval probabilities.
 
     Attributes
     ----------
     weight : ndarray, shape (n, n_intervals)
-        The logarithm of the probability, up to a constant.
+        Log-probability of each interval, up to a constant.
     mean : ndarray, shape (n, n_intervals, n_losses)
+        Mean losses.
     factor : ndarray, shape (n, n_intervals, n_losses, n_losses)
-        The Cholesky factor of the precision matrix of the losses.
+        Cholesky factor of the losses' precision matrix.
     """
 
     weight: FloatArray
@@ -52,17 +54,18 @@ class _GivenDate(NamedTuple):
 
 
 class DateOfEvent:
-    """Candidates for the date of a sudden event and its losses.
+    """Proposal distribution for the date and the losses of a sudden event.
 
     Parameters
     ----------
     parameters : sequence of Parameter
-        The parameters of theta.
+        The parameters in theta.
     date : int
-        Index in theta of the date.
+        Index of the date in theta.
     losses, numbers : ndarray of int, shape (n_losses,)
-        Indices in theta of the losses, and of the parameters that have them among the structural parameters.
+        Indices of the losses in theta, and indices of the damaged parameters among the structural parameters.
     times : ndarray, shape (n_tests,)
+        Time of each test.
     about : ndarray, shape (n_losses,)
         Typical losses.
     """
@@ -88,13 +91,13 @@ class DateOfEvent:
         self._low, self._high = box(every)
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density of the prior of date and losses, (n,), at theta (n, ndim)."""
+        """Return the log-prior density of date and losses, shape (n,), at theta (n, ndim)."""
         return self._prior.log_pdf(theta[:, self._columns])
 
     def propose(
         self, rng: np.random.Generator, given: ScoresGivenMain, theta: FloatArray, scales: FloatArray = REGULAR
     ) -> tuple[FloatArray, FloatArray]:
-        """Return theta with candidates, and the log-ratio (n,) of the densities of proposing the old and the new.
+        """Propose a new date and new losses for each chain.
 
         Parameters
         ----------
@@ -102,7 +105,14 @@ class DateOfEvent:
         given : ScoresGivenMain
         theta : ndarray, shape (n, ndim)
         scales : ndarray, shape (n, n_tests, p), optional
-            The standard deviations of the scores without the data (`Linear`).
+            Prior standard deviations of the scores (`Linear`).
+
+        Returns
+        -------
+        theta : ndarray, shape (n, ndim)
+            A copy with the proposed date and losses.
+        log_ratio : ndarray, shape (n,)
+            Proposal log-density of the old values minus that of the new ones.
         """
         known, rows, found = self._given_date(given, theta, scales), np.arange(len(theta)), theta.copy()
         at = np.argmax(known.weight + rng.gumbel(size=known.weight.shape), axis=1)
@@ -125,7 +135,7 @@ class DateOfEvent:
         return found
 
     def _log_density(self, known: _GivenDate, theta: FloatArray) -> FloatArray:
-        """Return the log-density of candidates, (n,), at theta, up to a constant."""
+        """Return the proposal log-density of the date and losses in theta, shape (n,), up to a constant."""
         rows, last = np.arange(len(theta)), len(self._widths) - 1
         at = np.clip(np.searchsorted(self._edges, theta[:, self.date], side="right") - 1, 0, last)
         factor = known.factor[rows, at]
@@ -162,15 +172,15 @@ class DateOfEvent:
         return _GivenDate(weight + np.log(self._widths), mean, factor)
 
     def _by_loss(self, given: ScoresGivenMain, theta: FloatArray, k: int) -> FloatArray:
-        """Return the derivatives of the values by loss k of the event, (n, n_tests)."""
+        """Return the derivatives of the parameter values in all tests with respect to loss k, (n, n_tests)."""
         slopes = given.layout.values_of[self.numbers[k]](theta)[1]
         return next(one.values for one in slopes if one.columns[0] == self.losses[k])
 
     def _after(self, terms: FloatArray, power: int) -> FloatArray:
-        """Return the sums of the terms (n, n_times, …) after each interval, (n, n_intervals, …).
+        """Sum `terms` (n, n_times, …) over the tests after each date interval; return shape (n, n_intervals, …).
 
-        A term whose time follows the interval is multiplied by the share of the loss to a power, or by the share
-        where the power is zero.
+        The test right after the interval counts with its loss share raised to `power`, or with the share itself if
+        `power` is zero.
         """
         shape = (-1, *(1,) * (terms.ndim - 2))
         share = (self._share ** max(power, 1)).reshape(shape)
@@ -181,7 +191,7 @@ class DateOfEvent:
 
 
 def undated_events(layout: Layout, parameters: Sequence[Parameter], theta: FloatArray) -> tuple[DateOfEvent, ...]:
-    """Return the sudden events at unknown dates, with the losses at theta (ndim,) as the typical ones."""
+    """Return the sudden events at unknown dates, with the losses at theta (ndim,) as their typical losses."""
     events: dict[int, list[tuple[int, SuddenLoss]]] = {}
     for j, value_of in enumerate(layout.values_of):
         if (one := value_of.sudden_loss) is not None:

@@ -1,4 +1,4 @@
-"""The log-likelihood of each test to second order in the parameters of the structure in the test."""
+"""Second-order expansion of each test's log-likelihood in the structural parameters of that test."""
 
 from __future__ import annotations
 
@@ -19,28 +19,29 @@ OfTests = ModalLikelihood | FRFLikelihood
 
 
 def likelihood_of_tests(problem: UpdatingProblem) -> OfTests:
-    """Return the likelihood of a problem of several tests, which has no soft pairing and no modal residual."""
+    """Return the likelihood of a problem with several tests, which has no soft pairing and no modal residual."""
     likelihood = problem.likelihood
     assert isinstance(likelihood, OfTests)  # for the type checker
     return likelihood
 
 
 class Expansion(NamedTuple):
-    """The log-likelihood of each test, expanded to second order in the parameters of the structure in the test.
+    """Each test's log-likelihood, expanded to second order in the P structural parameters of that test.
 
     Attributes
     ----------
     values : ndarray, shape (n_tests, P)
-        The parameters of the structure in each test about which the log-likelihood is expanded.
+        Structural parameters in each test at the expansion point.
     slope : ndarray, shape (n_tests, P)
-        The gradient of the log-likelihood of each test.
+        Gradient of each test's log-likelihood.
     information : ndarray, shape (n_tests, P, P)
-        The Gauss–Newton approximation of minus its second derivatives.
+        Gauss–Newton approximation of the negative second derivatives.
     noise : ndarray, shape (1, n_noise)
-        The inferred standard deviations of errors at which the log-likelihood is expanded.
+        Inferred error sds at the expansion point.
     spreads : tuple of Spread
-        The variances of the errors of the measured modes.
+        Error variances of the measured modes.
     test_of_modes : ndarray of int, shape (n_modes,)
+        Index of the test that measured each mode.
     """
 
     values: FloatArray
@@ -51,10 +52,10 @@ class Expansion(NamedTuple):
     test_of_modes: IntArray
 
     def weigh(self, noise: FloatArray) -> FloatArray:
-        """Return factors of slope and information, (n, n_tests, 1), for other standard deviations (n, n_noise).
+        """Return factors for slope and information, shape (n, n_tests, 1), at error sds `noise` (n, n_noise).
 
-        A factor is the mean, over the errors of a test, of the variance in the expansion divided by the present
-        variance. It is exact if all errors of the test have one standard deviation.
+        A factor averages, over a test's errors, the variance at the expansion point divided by the present
+        variance. It is exact if all errors in the test have one standard deviation.
         """
         if not noise.shape[1]:
             return np.ones((1, 1, 1))
@@ -68,7 +69,7 @@ class Expansion(NamedTuple):
 
 
 def expand(layout: Layout, likelihood: OfTests, theta: FloatArray) -> Expansion:
-    """Return the log-likelihoods of the tests to second order about one theta, (ndim,)."""
+    """Expand the log-likelihoods of all tests to second order about theta, shape (ndim,)."""
     slopes = likelihood.terms_and_gradient(layout.of_model(theta[None]))[1][..., : len(layout.structural)]
     slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))[0]
     values = layout.values(theta[None, : len(layout.parameters)])[0]
@@ -81,7 +82,7 @@ def expand(layout: Layout, likelihood: OfTests, theta: FloatArray) -> Expansion:
 
 
 def information_by_test(layout: Layout, likelihood: OfTests, theta: FloatArray) -> FloatArray:
-    """Return the information of each test on its structural parameters, (n_tests, P, P), at theta (ndim,)."""
+    """Return each test's information on the P structural parameters, shape (n_tests, P, P), at theta (ndim,)."""
     J = likelihood.residuals_and_slopes(layout.of_model(theta[None]))[1]
     products = J[..., :, None] * J[..., None, :]
     return sum_by_test(products, likelihood.test_of_residuals, len(layout.tests))[0]

@@ -1,19 +1,18 @@
-"""Draws of the populations given the values of their parameters in the tests, if the bounds have no influence.
+"""Proposals for the populations given the parameter values in the tests, when the bounds have no influence.
 
 Given the values x_t (their logarithms in log-normal populations), the likelihood has no further information on the
-centres μ, the standard deviations s and the correlation matrix R of the populations. Let Σ = D R D, where D has
-the s on its diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal and an inverse Wishart
-distribution,
+populations' centres μ, standard deviations s and correlation matrix R. Let Σ = D R D, where D has s on its
+diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal and an inverse Wishart distribution,
 
     Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n)
 
-(Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from these distributions are candidates. They
-are accepted by the ratio of the true prior to that prior, both as densities of (μ, s, R):
+(Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from these distributions are Metropolis–Hastings
+candidates. The acceptance ratio is the true prior divided by that prior, both as densities of (μ, s, R):
 
     w = p(μ) p(s) p(R) |Σ|^((p+1)/2) Π s_k^(−p).
 
-If the tests are precise, this moves the populations much further than steps that keep the scores fixed. Both kinds
-of step together are the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
+If the tests are precise, this moves the populations much further than steps that keep the scores fixed. Combining
+the two kinds of step is the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
 """
 
 from __future__ import annotations
@@ -37,16 +36,16 @@ _TESTS = 4
 
 
 class Candidates(NamedTuple):
-    """Candidates for the populations of n chains, at the present values in the tests.
+    """Proposed populations for n chains, at the present parameter values in the tests.
 
     Attributes
     ----------
     main : ndarray, shape (n, n_blocks, m)
-        Centres, standard deviations and partial correlations of each block of populations.
+        Centres, standard deviations and partial correlations in each block of populations.
     z : ndarray, shape (n, n_tests, n_blocks, p)
         Scores; meaningless where a test has no score.
     log_ratio : ndarray, shape (n, n_blocks)
-        Logarithm of the acceptance ratio of each block; −∞ where the bounds have an influence.
+        Log acceptance ratio of each block; −∞ where the bounds have an influence.
     """
 
     main: FloatArray
@@ -55,21 +54,21 @@ class Candidates(NamedTuple):
 
 
 class PopulationsGivenValues:
-    """Candidates for populations given the values in the tests.
+    """Proposal distribution for populations given the parameter values in the tests.
 
-    Independent populations are blocks that are accepted one by one; correlated populations are one block.
+    Independent populations form one block each and are accepted separately; correlated populations form one block.
 
     Parameters
     ----------
     layout : Layout
         A layout with standard normal scores.
     parameters : sequence of Parameter
-        The parameters of theta.
+        The parameters in theta.
 
     Attributes
     ----------
     n_blocks : int
-        Zero if no population can have candidates.
+        Number of blocks; zero if no population is suitable.
     """
 
     def __init__(self, layout: Layout, parameters: Sequence[Parameter]) -> None:
@@ -97,7 +96,7 @@ class PopulationsGivenValues:
         self._of_partial = 0.5 * (p + 1) - 0.5 * (p - 2 - before)
 
     def propose(self, rng: np.random.Generator, theta: FloatArray) -> Candidates:
-        """Return candidates for the populations at theta, (n, ndim)."""
+        """Draw candidates for the populations of the chains at theta, shape (n, ndim)."""
         c, s = theta[:, self._centres], theta[:, self._widths]
         z = np.where(self._scored, theta[:, self._scores], 0.0)
         n, p, count = len(theta), c.shape[2], self._count[:, None]
@@ -121,7 +120,7 @@ class PopulationsGivenValues:
         return Candidates(main, new_z, np.where(inside, ratio, -np.inf))
 
     def move(self, theta: FloatArray, found: Candidates, accepted: BoolArray) -> FloatArray:
-        """Return a copy of theta, (n, ndim), with the candidates of the `accepted` blocks, (n, n_blocks)."""
+        """Return a copy of theta (n, ndim) in which the `accepted` blocks, shape (n, n_blocks), have moved."""
         theta, scored = theta.copy(), self._scored
         theta[:, self._main] = np.where(accepted[..., None], found.main, theta[:, self._main])
         z = np.where(accepted[:, None, :, None], found.z, theta[:, self._scores])
@@ -129,12 +128,12 @@ class PopulationsGivenValues:
         return theta
 
     def _are_distant(self, mu: FloatArray, s: FloatArray, z: FloatArray) -> BoolArray:
-        """Return whether the bounds have no influence on any value of a block, (n, n_blocks)."""
+        """Return a mask (n, n_blocks) of the blocks in which no value is influenced by the bounds."""
         distant = are_bounds_distant(z, mu[:, None], s[:, None], self._low, self._high) | ~self._scored
         return np.asarray(distant.all(axis=(1, 3)))
 
     def _log_weight(self, main: FloatArray) -> FloatArray:
-        """Return log w of the description of the module, (n, n_blocks)."""
+        """Return log w, defined in the module docstring, shape (n, n_blocks)."""
         p = self._centres.shape[1]
         c, s, rho = main[..., :p], main[..., p : 2 * p], main[..., 2 * p :]
         found = np.log(s).sum(axis=2) + np.where(self._of_logarithm, np.log(c), 0.0).sum(axis=2)
@@ -151,14 +150,15 @@ class PopulationsGivenValues:
 
 
 def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: FloatArray) -> FloatArray:
-    """Return factors G of draws G Gᵀ from inverse Wishart distributions.
+    """Draw from inverse Wishart distributions; return factors G, shape (n, n_blocks, p, p), of the draws G Gᵀ.
 
-    With Bartlett's decomposition B Bᵀ of a Wishart matrix of unit scale and scatter = L Lᵀ, G = L B^(−T).
+    With the Bartlett decomposition B Bᵀ of a Wishart matrix with unit scale and scatter = L Lᵀ, G = L B^(−T).
 
     Parameters
     ----------
     rng : Generator
     scatter : ndarray, shape (n, n_blocks, p, p)
+        Scale matrices.
     nu : ndarray, shape (n_blocks,)
         Degrees of freedom, at least p.
     """
@@ -172,10 +172,10 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 
 
 def _blocks(layout: Layout) -> list[list[Drawn]]:
-    """Return the populations that can have candidates, in blocks of equal sizes.
+    """Return the populations that candidates can be drawn for, in blocks of equal size.
 
-    Such a population has one standard deviation and values that are independent in time, and no test may be an
-    outlier. Correlated populations need scores in all tests.
+    A suitable population has one standard deviation, values that are independent in time, and no outlying tests.
+    Correlated populations also need scores in all tests.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
     if layout.outliers is not None:

@@ -1,18 +1,18 @@
-"""Draws of populations and correlation times given values that are correlated in time.
+"""Metropolis steps for populations and correlation times, given parameter values that are correlated in time.
 
 Given the values x_t in the tests (their logarithms in log-normal populations), the likelihood has no further
-information on μ, s and T of a population. With the precision matrix Q of the scores, and without bounds of the
-values,
+information on a population's centre μ, standard deviation s and correlation time T. With the precision matrix Q of
+the scores, and if the values are not bounded,
 
     p(x | μ, s, T) = |Q|^½ s^(−m) exp(−½ (x − μ)ᵀ Q (x − μ) / s²) / (2π)^(m/2).
 
-With the prior density 1/s of μ and s, and μ̂ by generalised least squares, S = (x − μ̂)ᵀ Q (x − μ̂),
+With the prior density 1/s for μ and s, the generalised least-squares estimate μ̂ and S = (x − μ̂)ᵀ Q (x − μ̂),
 
     S/s² ~ χ²(m − 1),    μ | s ~ N(μ̂, s²/1ᵀQ1)
 
-(Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). A candidate has T from a random walk of log T, and μ
-and s drawn given T. It is accepted by the Metropolis–Hastings rule, with the density of values within bounds and
-the priors of μ, s and T. So T, μ and s move together along the ridge of a wide scatter that changes slowly.
+(Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). A candidate takes T from a random walk in log T, and
+then draws μ and s given T. The Metropolis–Hastings ratio accounts for the bounds and for the priors of μ, s and T.
+So T, μ and s move together along the ridge on which a wide scatter changes slowly.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _FEWEST = 3
 
 
 class _Fit(NamedTuple):
-    """The distribution of μ and s given values and T.
+    """Generalised least-squares fit that defines the distribution of μ and s given values and T.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class _Fit(NamedTuple):
 
     @classmethod
     def of(cls, x: FloatArray, theta: FloatArray, in_time: InTime) -> _Fit:
-        """Fit values x (n, m), with the correlation time at theta (n, ndim)."""
+        """Fit the values x (n, m) with the correlation time at theta (n, ndim)."""
         ones, e = in_time.innovations(theta, np.ones_like(x)), in_time.innovations(theta, x)
         weight = np.einsum("nt,nt->n", ones, ones)
         mean = np.einsum("nt,nt->n", ones, e) / weight
@@ -55,7 +55,7 @@ class _Fit(NamedTuple):
         return cls(mean, weight, np.einsum("nt,nt->n", left, left))
 
     def log_density(self, mean: FloatArray, s: FloatArray, m: int) -> FloatArray:
-        """Return the log-density of μ and s, (n,), up to a constant."""
+        """Return the log-density of μ and s, shape (n,), up to a constant."""
         of_mean = -0.5 * self.weight * ((mean - self.mean) / s) ** 2 + 0.5 * np.log(self.weight) - np.log(s)
         return of_mean - 0.5 * self.squares / s**2 + 0.5 * (m - 1) * np.log(self.squares) - m * np.log(s)
 
@@ -63,17 +63,17 @@ class _Fit(NamedTuple):
 def move_in_time(
     rng: np.random.Generator, theta: FloatArray, layout: Layout, parameters: Sequence[Parameter]
 ) -> FloatArray:
-    """Return theta (n, ndim) after steps of μ, s and T of each population that is correlated in time.
+    """Return theta (n, ndim) after one step in μ, s and T for each population that is correlated in time.
 
     Parameters
     ----------
     rng : Generator
     theta : ndarray, shape (n, ndim)
-        With standard normal scores; the scores change so that the values stay the same.
+        Points with standard normal scores; the scores change so that the parameter values stay the same.
     layout : Layout
         A layout with standard normal scores.
     parameters : sequence of Parameter
-        The parameters of theta.
+        The parameters in theta.
     """
     for one in layout.drawn:
         if one.in_time is not None and one.has_one_width and len(one.in_time.order) >= _FEWEST:
@@ -91,7 +91,7 @@ def _move(
     x = np.log(value) if of_logarithm else value
 
     def log_target(theta: FloatArray) -> FloatArray:
-        """Return the log-density of values and parameters but T, with s and μ as the variables."""
+        """Return the log-density of values, μ and s, without the prior of T."""
         c, s = theta[:, one.centre], theta[:, width]
         found = np.einsum("nt->n", one.family.log_pdf(value, c[:, None], s[:, None])[0])
         found = found + np.einsum("nt->n", in_time.log_density(theta, theta[:, columns])[0])

@@ -1,15 +1,15 @@
-"""The main parameters with all scores integrated out, by an approximation that needs no solve of the model.
+"""Approximate density of the main parameters with all scores integrated out, which needs no model solves.
 
-The likelihood L_t of test t is expanded to second order in the values, which are linear in the scores z_t. The
-integral over the scores is then the integral of a normal density (Laplace's method; Tierney & Kadane 1986, *J. Am.
-Stat. Assoc.* 81, 82–86). With main parameters m, and the precision of the scores Λ_t with the data and P without,
+Test t's likelihood L_t is expanded to second order in the parameter values, which are linear in the scores z_t.
+The integral over the scores is then the integral of a normal density (Laplace's method; Tierney & Kadane 1986, *J.
+Am. Stat. Assoc.* 81, 82–86). With main parameters m, and score precision Λ_t with the data and P without,
 
     log Q(m) = log p(m) + Σ_t [log L_t(ẑ_t) − ½ ẑ_tᵀ P ẑ_t − ½ log det Λ_t + ½ log det P],
 
-where ẑ_t are the most probable scores. Q has no funnel: it is smooth where a standard deviation of a population is
-small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed, which are the scores in units of
-their uncertainty given main parameters and data. Whether the step is accepted depends on the change of the
-approximation error, not on its size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
+where ẑ_t are the most probable scores. Q has no funnel: it is smooth where a population's standard deviation is
+small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed: the scores in units of their
+uncertainty given main parameters and data. Acceptance depends on how the approximation error changes, not on its
+size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _LEAST, _MOST = 1e-3, 1e3
 
 
 class MarginalOfMain:
-    """The approximate density of the main parameters, without scores, given standard deviations of errors.
+    """Approximate density of the main parameters with the scores integrated out, at given error sds.
 
-    It is a density of coordinates w. For the standard deviation s of a population, w is arsinh(s/c), where c is
-    the typical standard deviation of a value given the data of its test alone. It is artanh(ρ) for a partial
-    correlation, and a scaled value for all other parameters.
+    The density is in coordinates w. For a population's standard deviation s, w is arsinh(s/c), where c is the
+    typical standard deviation of a parameter value given only its own test's data. For a partial correlation ρ it
+    is artanh(ρ), and for all other parameters a scaled value.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class MarginalOfMain:
     Attributes
     ----------
     columns : ndarray of int, shape (d,)
-        Indices of the main parameters in theta, without the share of outliers, correlation times and the dates of
-        sudden losses.
+        Indices of the main parameters in theta, without the outlier share, correlation times and dates of sudden
+        losses.
     lower, upper : ndarray, shape (d,)
         Bounds of w.
     """
@@ -92,11 +92,11 @@ class MarginalOfMain:
         return w
 
     def coordinates(self, theta: FloatArray) -> FloatArray:
-        """Return w, (n, d), at theta (n, ndim)."""
+        """Return the coordinates w, shape (n, d), at theta (n, ndim)."""
         return self._to_w(theta[:, self.columns])
 
     def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with the main parameters at w and the scores of `theta`."""
+        """Return a copy of theta with the main parameters set from w (n, d) and the scores unchanged."""
         main = self._offset + self._scale * w
         main[:, self._widths] = self._units * np.sinh(w[:, self._widths])
         main[:, self._partial] = np.tanh(w[:, self._partial])
@@ -107,7 +107,7 @@ class MarginalOfMain:
     def log_prob_and_grad(
         self, w: FloatArray, theta: FloatArray, scales: FloatArray = REGULAR
     ) -> tuple[FloatArray, FloatArray, Linear]:
-        """Return the log-density (n,) at w, (n, d), its gradient, and the densities of the scores there.
+        """Return the log-density (n,), its gradient (n, d), and the linearised score densities at w.
 
         The gradient is exact where bounds and the curvature of the values have no influence.
 
@@ -115,9 +115,9 @@ class MarginalOfMain:
         ----------
         w : ndarray, shape (n, d)
         theta : ndarray, shape (n, ndim)
-            Supplies the inferred standard deviations of errors.
+            Supplies the inferred error sds.
         scales : ndarray, shape (n, n_tests, p), optional
-            The standard deviations of the scores without the data (`Linear`).
+            Prior standard deviations of the scores (`Linear`).
         """
         at = self.theta_at(w, theta)
         linear = self.given.linearise(at, scales)
@@ -135,12 +135,12 @@ class MarginalOfMain:
         return value, gradient, linear
 
     def rough_covariance(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
-        """Return a covariance matrix of w, (d, d): the inverse of the curvature at theta, (1, ndim).
+        """Return a rough covariance matrix of w, shape (d, d): the inverse curvature at theta (1, ndim).
 
-        The curvature is computed by differences of the gradient. It may vanish for a standard deviation near zero,
-        so `_CURVATURE` is added for standard deviations and correlations, whose w are of the order of one. For all
-        parameters, the curvature of a normal distribution as wide as the uniform distribution between the bounds
-        is added, so that the inverse is finite.
+        The curvature is computed from gradient differences. It may vanish for a standard deviation near zero, so
+        `_CURVATURE` is added for standard deviations and correlations, whose w are of order one. For every
+        parameter, the curvature of a normal distribution as wide as the uniform distribution between the bounds is
+        added, so that the inverse is finite.
         """
         w, d = self.coordinates(theta), len(self.columns)
         h = _STEP * np.minimum(1.0, np.minimum(w - self.lower, self.upper - w)[0])
@@ -155,7 +155,7 @@ class MarginalOfMain:
         return np.linalg.inv((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T + np.diag(added))
 
     def _gradient(self, linear: Linear, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the sum of the log-evidence, (n, ndim); entries of scores are meaningless."""
+        """Return the gradient of the summed log-evidence, shape (n, ndim); entries for scores are meaningless."""
         of, n = self.given.scores, len(self.layout.parameters)
         moved = linear.slopes * linear.step
         pull = self.given.pull_of_values(linear)

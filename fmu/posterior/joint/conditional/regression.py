@@ -1,10 +1,9 @@
-"""A normal distribution fitted to a log-density by regression of its gradients.
+"""Fit a normal distribution to a log-density by regression on its gradients.
 
-Among all normal distributions N(m, C), the one that is closest to a density p, in the sense of the
-Kullback–Leibler divergence from N to p, has E[∇ log p] = 0 and E[−∇² log p] = C⁻¹, where the expectations are over
-N itself. A linear regression of the gradients on draws from N gives both expectations (Salimans & Knowles 2013,
-*Bayesian Anal.* 8, 837–882). By contrast, the curvature at a single point is misleading if the density is skewed
-or has its maximum at a bound.
+Among all normal distributions N(m, C), the one closest to a density p, in the Kullback–Leibler divergence from N
+to p, has E[∇ log p] = 0 and E[−∇² log p] = C⁻¹, with expectations over N itself. A linear regression of gradients
+on draws from N gives both expectations (Salimans & Knowles 2013, *Bayesian Anal.* 8, 837–882). By contrast, the
+curvature at a single point is misleading if the density is skewed or has its maximum at a bound.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ deviations."""
 
 
 class FittedNormal(NamedTuple):
-    """A normal distribution; values beyond the bounds are reflected at them.
+    """A normal distribution whose draws are reflected at bounds.
 
     Attributes
     ----------
@@ -39,17 +38,17 @@ class FittedNormal(NamedTuple):
 
     @property
     def covariance(self) -> FloatArray:
-        """The covariance matrix, (d, d)."""
+        """Covariance matrix before reflection, shape (d, d)."""
         return self.factor @ self.factor.T
 
     def draws(self, n: int, lower: FloatArray, upper: FloatArray) -> FloatArray:
-        """Return `n` draws, reflected at the bounds, (n, d)."""
+        """Return `n` draws, reflected at the bounds, shape (n, d). Every call uses the same random numbers."""
         noise = np.random.default_rng(1).standard_normal((n, len(self.mean)))
         return reflect(self.mean + noise @ self.factor.T, lower, upper)[0]
 
 
 def reflect(w: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return points reflected into the box, and the signs ±1 of the derivatives of the reflection."""
+    """Reflect points into the box between the bounds; return them and the reflection's derivatives, ±1."""
     sign = np.where((w < lower) | (w > upper), -1.0, 1.0)
     w = np.where(w < lower, 2.0 * lower - w, np.where(w > upper, 2.0 * upper - w, w))
     return np.clip(w, lower, upper), sign
@@ -62,22 +61,22 @@ def fit_normal(
     lower: FloatArray,
     upper: FloatArray,
 ) -> FittedNormal:
-    """Return the normal distribution that is closest to a density within bounds.
+    """Return the normal distribution closest to a density within bounds.
 
     Parameters
     ----------
     gradient : callable
-        Returns the gradients of the log-density at n points, (n, d) → (n, d).
+        Returns the log-density gradients at n points, (n, d) → (n, d).
     mean, covariance : ndarray, shapes (d,) and (d, d)
-        The distribution at which the search begins.
+        The normal distribution from which the search starts.
     lower, upper : ndarray, shape (d,)
-        Bounds of the points. The density is continued by reflection.
+        Bounds of the points. The density is continued beyond them by reflection.
 
     Notes
     -----
-    The draws of all rounds use the same standard normal numbers, which have zero mean and unit covariance. The
-    curvature of a normal distribution as wide as the uniform distribution between the bounds is added, so that the
-    variances are finite where the density is flat.
+    Every iteration uses the same standard normal numbers, with zero mean and unit covariance. The curvature of a
+    normal distribution as wide as the uniform distribution between the bounds is added, so that the variances are
+    finite where the density is flat.
     """
     d, flat = len(mean), 12.0 / (upper - lower) ** 2
     half = max(_POINTS * d, _FEWEST) // 2

@@ -1,10 +1,10 @@
-"""The scores of each test given the main parameters, which are independent of the scores of other tests.
+"""Density of each test's scores given the main parameters; different tests are then independent.
 
-The posterior density of the scores z_t of a test, given the main parameters, is proportional to
+The posterior density of test t's scores z_t, given the main parameters, is proportional to
 
     L_t(θ_t(main, z_t)) p(z_t | main),
 
-in which L_t is the likelihood of the data of the test and θ_t are the parameters of the structure in it.
+where L_t is the likelihood of the test's data and θ_t are the structural parameters in the test.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class Scattering(NamedTuple):
     drawn: Drawn
 
     def factor(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the factor (n, n_tests) or (1, 1), and the derivatives of its logarithm."""
+        """Return the factor, shape (n, n_tests) or (1, 1), and the derivatives of its logarithm."""
         factors = self.value_of.factors(theta)
         slopes = [Slope(s.columns, s.values / one.values) for one in factors for s in one.slopes]
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
     def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the scores, (n, n_tests), of values (n_tests,) or of the nearest values within the bounds."""
+        """Return the scores (n, n_tests) of `values` (n_tests,), or of the nearest values within the bounds."""
         low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
         base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
@@ -60,19 +60,19 @@ class Scattering(NamedTuple):
         return self.of_score(self.value_of(theta)[1])
 
     def of_score(self, slopes: list[Slope]) -> FloatArray:
-        """Return the derivatives with respect to scores, (n, n_tests), out of all derivatives of the values."""
+        """Select the derivatives with respect to scores, shape (n, n_tests), from all value derivatives."""
         return next(slope.values for slope in slopes if slope.columns is self.drawn.columns)
 
 
 class Scores(NamedTuple):
-    """The scores of a layout by test and population; p is the number of populations.
+    """Scores of a layout, arranged by test and by its p populations.
 
     Attributes
     ----------
     every : tuple of Scattering
         The parameters that scatter.
     parameters : ndarray of int, shape (p,)
-        Index of each of them among the structural parameters.
+        Their indices among the structural parameters.
     columns : ndarray of int, shape (n_tests, p)
         Index of each score in theta; meaningless where there is no score.
     scored : ndarray of bool, shape (n_tests, p)
@@ -86,49 +86,48 @@ class Scores(NamedTuple):
 
     @classmethod
     def of(cls, layout: Layout) -> Scores:
-        """Return the scores of a layout with populations."""
+        """Collect the scores of a layout with populations."""
         numbers = [j for j, one in enumerate(layout.values_of) if isinstance(one.base, Drawn)]
         every = tuple(Scattering(layout.values_of[j], of) for j, of in zip(numbers, layout.drawn, strict=True))
         columns = np.stack([one.columns for one in layout.drawn], axis=1)
         return cls(every, np.array(numbers), columns, np.stack([one.scored for one in layout.drawn], axis=1))
 
     def take(self, theta: FloatArray) -> FloatArray:
-        """Return the scores, (n, n_tests, p), at theta (n, ndim); zero where there is no score."""
+        """Return the scores at theta (n, ndim), shape (n, n_tests, p); zero where there is no score."""
         return np.where(self.scored, theta[:, self.columns], 0.0)
 
     def put(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) with the scores z, (n, n_tests, p)."""
+        """Return a copy of theta (n, ndim) with its scores set to z, shape (n, n_tests, p)."""
         found = theta.copy()
         found[:, self.columns[self.scored]] = z[:, self.scored]
         return found
 
 
 class Linear(NamedTuple):
-    """The densities of each test's scores, if the values are linear in the scores about a centre.
+    """Score densities of each test when parameter values are linear in the scores about a centre.
 
     Attributes
     ----------
     at : ndarray, shape (n, n_parameters)
-        Theta with the scores of the centre.
+        Theta with the scores at the centre.
     z : ndarray, shape (n, n_tests, p)
-        The scores of the centre.
+        Scores at the centre.
     slopes : ndarray, shape (n, n_tests, p)
-        Derivatives of the values with respect to the scores.
+        Derivatives of parameter values with respect to scores.
     step : ndarray, shape (n, n_tests, p)
         The most probable scores minus `z`.
     largest : ndarray, shape (n, n_tests)
-        Logarithm of the likelihood times exp(−½ zᵀ P z) at the most probable scores, where P is `of_prior`.
+        Log-likelihood − ½ zᵀ P z at the most probable scores, where P is `of_prior`.
     pull : ndarray, shape (n, n_tests, n_structural)
-        Gradients of the log-likelihoods with respect to the values, at the centre.
+        Log-likelihood gradients with respect to the parameter values, at the centre.
     weight : ndarray, shape (n, n_tests, 1) or (1, 1, 1)
-        The factors of `Expansion.weigh`.
+        Factors from `Expansion.weigh`.
     factor, inverse : ndarray, shape (n, n_tests, p, p)
-        Cholesky factors of the precision matrices of the scores given the data, and the inverses of these
-        matrices.
+        Cholesky factors of the score precision matrices given the data, and the inverse precision matrices.
     of_prior : ndarray, shape (n, n_tests, p, p)
-        Precision matrices of the scores without the data.
+        Prior precision matrices of the scores.
     scales : ndarray, shape (n, n_tests, p) or (1, 1, 1)
-        Standard deviations of the scores without the data; 1 except for outliers.
+        Prior standard deviations of the scores; 1 except for outliers.
     """
 
     at: FloatArray
@@ -144,28 +143,28 @@ class Linear(NamedTuple):
     scales: FloatArray
 
     def select(self, chosen: BoolArray, other: Linear) -> Linear:
-        """Return these densities for the chains that are `chosen`, (n,), and the `other` ones for the rest."""
+        """Return these densities for the `chosen` chains, shape (n,), and the `other` ones for the rest."""
         every = zip(self, other, strict=True)
         return Linear(*(np.where(chosen.reshape(-1, *(1,) * (x.ndim - 1)), x, y) for x, y in every))
 
     @property
     def log_det_factor(self) -> FloatArray:
-        """Log-determinant of `factor`, the Cholesky factors of the precision matrices, (n, n_tests)."""
+        """Log-determinant of `factor`, the Cholesky factors of the precision matrices, shape (n, n_tests)."""
         return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
 
 
 class Normal(NamedTuple):
-    """Normal distributions of the straightened scores of each test.
+    """Normal distributions of each test's straightened scores.
 
     Attributes
     ----------
     mean : ndarray, shape (n, n_tests, p)
     factor : ndarray, shape (n, n_tests, p, p)
-        The Cholesky factor of the precision matrix.
+        Cholesky factor of the precision matrix.
     scored : ndarray of bool, shape (n_tests, p)
         Whether the test has the score. A missing score has zero mean and unit precision.
     curve : Curve, optional
-        Maps straightened scores to scores; without it they are equal.
+        Maps straightened scores to scores. If it is None, the two are equal.
     """
 
     mean: FloatArray
@@ -174,30 +173,29 @@ class Normal(NamedTuple):
     curve: Curve | None
 
     def bend(self, z: FloatArray) -> FloatArray:
-        """Return the scores, (n, n_tests, p), for straightened scores z."""
+        """Return the scores that correspond to straightened scores z, both of shape (n, n_tests, p)."""
         return z if self.curve is None else self.curve.bend(z)
 
     def straighten(self, z: FloatArray) -> FloatArray:
-        """Return the straightened scores, (n, n_tests, p), for scores z."""
+        """Return straightened scores for the scores z, both of shape (n, n_tests, p)."""
         return z if self.curve is None else self.curve.straighten(z)
 
     def scatter(self, noise: FloatArray) -> FloatArray:
-        """Return deviations from the mean, computed from standard normal `noise`, (n, n_tests, p) each."""
+        """Turn standard normal `noise` into deviations from the mean; both have shape (n, n_tests, p)."""
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
     def standardise(self, z: FloatArray) -> FloatArray:
-        """Return scores z as independent standard normal numbers, (n, n_tests, p)."""
+        """Transform scores z to independent standard normal numbers, shape (n, n_tests, p)."""
         return np.einsum("ntji,ntj->nti", self.factor, self.straighten(z) - self.mean)
 
     def restore(self, u: FloatArray) -> FloatArray:
-        """Return the scores that correspond to the standard normal numbers u; the inverse of `standardise`."""
+        """Transform standard normal numbers u to scores, shape (n, n_tests, p); the inverse of `standardise`."""
         return self.bend(self.mean + self.scatter(u))
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
-        """Return the log-densities of straightened scores z, (n, n_tests, p), up to a constant, (n, n_tests).
+        """Return the log-densities (n, n_tests) of straightened scores z (n, n_tests, p), up to a constant.
 
-        If `nu` is finite, they are log-densities of Student's distributions with nu degrees of freedom and the
-        same mean and factor.
+        If `nu` is finite, use Student's t with nu degrees of freedom and the same mean and factor.
         """
         turned = np.einsum("ntji,ntj->nti", self.factor, z - self.mean)
         square = np.einsum("nti,nti->nt", turned, turned)
@@ -207,16 +205,16 @@ class Normal(NamedTuple):
 
 
 class ScoresGivenMain:
-    """The density of the scores given the main parameters, and a normal approximation of it.
+    """Density of the scores given the main parameters, with a normal approximation.
 
     Parameters
     ----------
     layout : Layout
-        A layout with populations and standard normal scores (`Layout.remove_centring`), in which the scores of
-        different tests are independent.
+        A layout with populations and standard normal scores (`Layout.remove_centring`). Scores in different tests
+        are independent.
     expansion : Expansion
     bend : Bend, optional
-        The parabolas that the densities of the scores follow; straight lines without it.
+        Parabolas along which the score densities are curved; if it is None, the ridges are straight.
     """
 
     def __init__(self, layout: Layout, expansion: Expansion, bend: Bend | None = None) -> None:
@@ -225,9 +223,9 @@ class ScoresGivenMain:
         self._information = expansion.information[:, numbers[:, None], numbers]
 
     def log_prior(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
-        """Return the log-density of the scores of each test, given main parameters and `scales`, (n, n_tests).
+        """Return the log-prior of each test's scores given main parameters and `scales`, shape (n, n_tests).
 
-        Constants, and terms of the scales alone, are left out. `scales` is as in `Linear`.
+        Constants, and terms that depend on the scales alone, are left out. `scales` is as in `Linear`.
         """
         z = self.scores.take(theta) / scales
         found = -0.5 * np.einsum("ntp,ntp->nt", z, z)
@@ -236,7 +234,7 @@ class ScoresGivenMain:
         return found
 
     def linearise(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Linear:
-        """Return the densities of the scores, with linear values, at the main parameters of theta (n, ndim).
+        """Linearise the parameter values in the scores, at the main parameters in theta (n, ndim).
 
         `scales` is as in `Linear`.
         """
@@ -271,35 +269,38 @@ class ScoresGivenMain:
         return Linear(at, z, slopes, step, value, gradient, weight, factor, inverse, of_prior, scales)
 
     def log_evidence(self, linear: Linear) -> FloatArray:
-        """Return the log of the integral over each test's scores, (n, n_tests), up to a term of the scales."""
+        """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.
+
+        A term that depends on the scales alone is left out.
+        """
         found, copula = linear.largest - linear.log_det_factor, self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)
 
     def pull_of_values(self, linear: Linear) -> FloatArray:
-        """Return the derivatives of `log_evidence` by equal changes of the values, (n, n_tests, P).
+        """Return the gradient of `log_evidence` when all P parameter values shift, shape (n, n_tests, P).
 
-        The derivatives of the values by the scores are held.
+        The derivatives of values with respect to scores are treated as constant.
         """
         of_scores = self.expansion.information[:, :, self.scores.parameters]
         return linear.pull - linear.weight * np.einsum("tij,ntj->nti", of_scores, linear.slopes * linear.step)
 
     def information_on_values(self, linear: Linear) -> FloatArray:
-        """Return minus the second derivatives of `log_evidence` by the values, (n, n_tests, P, P)."""
+        """Return minus the second derivatives of `log_evidence` with respect to values, (n, n_tests, P, P)."""
         cross = self.expansion.information[:, :, self.scores.parameters] * linear.slopes[..., None, :]
         cross = linear.weight[..., None] * cross
         explained = cross @ linear.inverse @ np.swapaxes(cross, 2, 3)
         return linear.weight[..., None] * self.expansion.information - explained
 
     def approximate(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Normal:
-        """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
+        """Return the normal approximation of the score density at the main parameters in theta (n, ndim).
 
-        The likelihood of each test is that of the expansion, and the values are linear in the scores there.
-        `scales` is as in `Linear`.
+        It uses the expanded likelihood, and parameter values that are linear in the scores. `scales` is as in
+        `Linear`.
         """
         return self.normal_of(self.linearise(theta, scales))
 
     def normal_of(self, linear: Linear) -> Normal:
-        """Return the normal approximation of the scores' density with linear values."""
+        """Return the normal approximation of the score density for linearised values."""
         curve, scored = None, self.scores.scored
         if self.bend is not None:
             curve = Curve(self.bend, linear.z, np.where(scored, linear.slopes / self.bend.slopes, 1.0))

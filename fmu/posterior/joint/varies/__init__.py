@@ -17,17 +17,17 @@ Variation = Population | Damage | UndatedDamage
 
 
 class Unknown(Varies):
-    """A placeholder for a name that is not a kind of variation."""
+    """Placeholder for an unknown name, so that the error about it is reported with the others."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list with one message, which names the possible kinds of variation."""
+        """Return a list with one message, which lists the possible kinds of variation."""
         kinds = " or ".join(kind.__name__ for kind in get_args(Variation))
         return [f"varies.{name}: must be one of {', '.join(VARIES)}, a {kinds} (got {self.name!r})"]
 
 
 def way_of(how: str | Variation) -> Varies:
-    """Return the variation that is given by name or as an object; an `Unknown` for an unknown name."""
+    """Return the kind of variation for a name or an object; an unknown name gives an `Unknown`."""
     return VARIES.get(how, Unknown(how)) if isinstance(how, str) else how

@@ -1,14 +1,14 @@
-"""Scores of a population that are correlated in time: AR(1) for tests at even intervals.
+"""Population scores that are correlated in time; for evenly spaced tests this is an AR(1) process.
 
-The scores z_t of the tests, at the times x_1 < x_2 < …, are a stationary Ornstein–Uhlenbeck process (Uhlenbeck &
-Ornstein 1930, *Phys. Rev.* 36, 823–841). Each is standard normal, and the correlation of two of them is
-exp(−|x_i − x_j|/T), where T is the correlation time. With ρ_t = exp(−(x_t − x_(t−1))/T),
+The test scores z_t, at times x_1 < x_2 < …, are a stationary Ornstein–Uhlenbeck process (Uhlenbeck & Ornstein
+1930, *Phys. Rev.* 36, 823–841). Each is standard normal, and two of them have the correlation exp(−|x_i − x_j|/T),
+where T is the correlation time. With ρ_t = exp(−(x_t − x_(t−1))/T),
 
     z_1 ~ N(0, 1),    z_t | z_(t−1) ~ N(ρ_t z_(t−1), 1 − ρ_t²).
 
-Given the previous score, a score does not depend on earlier ones, so the density takes O(n) operations. The values
-of each test follow from its own scores. The innovations e_t = (z_t − ρ_t z_(t−1)) / √(1 − ρ_t²) are independent
-and standard normal.
+Given the previous score, a score does not depend on earlier ones, so the density takes O(n) operations. Each
+test's parameter value follows from its own scores. The innovations e_t = (z_t − ρ_t z_(t−1)) / √(1 − ρ_t²) are
+independent and standard normal.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
 
 
 def times_of(by: str, tests: Sequence[Test]) -> FloatArray:
-    """Return the times of the tests, (n_tests,): the covariate `by`, or 1, 2, … in their order if it is empty."""
+    """Return the test times, shape (n_tests,): the covariate `by`, or 1, 2, … in test order if `by` is empty."""
     if not by:
         return np.arange(1.0, len(tests) + 1.0)
     return np.array([test.covariates[by] for test in tests], dtype=float)
 
 
 def default_prior(times: FloatArray) -> LogNormal:
-    """Return the default prior of T for tests at ascending times, which is log-normal.
+    """Return the default log-normal prior of the correlation time T for tests at ascending `times`.
 
     It has 5 % of its probability below a third of the median time between tests, where scores are nearly
-    independent, and 5 % above the time from the first test to the last, beyond which a slow change looks like a
+    independent. It has 5 % above the time from the first test to the last, beyond which a slow change looks like a
     change of the mean.
     """
     low, high = np.median(np.diff(times)) / _SHORT, times[-1] - times[0]
@@ -53,7 +53,7 @@ def default_prior(times: FloatArray) -> LogNormal:
 
 
 def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages that say why the tests have no times for the scores of the parameter `name`."""
+    """Return messages that say why the tests have no valid times for the scores of the parameter `name`."""
     if not by:
         return []
     here = [t for t, test in enumerate(tests) if name not in test.known]
@@ -77,16 +77,16 @@ N_STEPS, _LARGEST, _SMALLEST = 3, 2.0, 0.05
 
 @dataclass(frozen=True, eq=False)
 class InTime:
-    """The scores of one population in time.
+    """One population's scores as a process in time.
 
     Attributes
     ----------
     correlation_time : float or None
         T; None if it is inferred.
     column : int or None
-        Index of T in theta; None if it is known.
+        Index of T in theta; None if T is known.
     by : str
-        The covariate that is the time; empty for the order of the tests.
+        The covariate that serves as time; empty if test numbers do.
     order : ndarray of int, shape (m,)
         The tests with a score, in ascending order of time.
     times : ndarray, shape (m,)
@@ -115,7 +115,10 @@ class InTime:
         return cls(float(how), None, by, np.array(here)[order], times)
 
     def correlation_times(self, theta: FloatArray) -> FloatArray:
-        """Return T, (n, 1), at theta (n, n_parameters), but at least a value at which scores are independent."""
+        """Return T, shape (n, 1), at theta (n, n_parameters), raised to a small positive minimum.
+
+        At the minimum, scores are independent.
+        """
         column = self.column
         found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
         return np.maximum(found, _LEAST * np.diff(self.times).min())
@@ -123,9 +126,9 @@ class InTime:
     def propose_time(
         self, rng: np.random.Generator, theta: FloatArray, parameters: Sequence[Parameter]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return theta with T after a step of a random walk of log T, and the log-ratio of its priors, (n,).
+        """Take one random-walk step in log T; return the new theta and the log-ratio of the priors, shape (n,).
 
-        The ratio includes the Jacobian of log T. The step sizes are random, because T may be known well or badly.
+        The ratio includes the Jacobian of log T. Step sizes are random, because T may be known well or badly.
         """
         column, n = self.column, len(theta)
         if column is None:
@@ -139,12 +142,12 @@ class InTime:
         return found, np.where(inside, new - now + step, -np.inf)
 
     def correlations(self, theta: FloatArray, gaps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ρ and 1 − ρ², (n, k), of scores with the `gaps` (k,) between their times."""
+        """Return ρ and 1 − ρ², shape (n, k) each, for score pairs separated by the time `gaps` (k,)."""
         exponent = -gaps / self.correlation_times(theta)
         return np.exp(exponent), -np.expm1(2.0 * exponent)
 
     def between(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ρ and 1 − ρ², (n, m − 1), of each score and the score before it."""
+        """Return ρ and 1 − ρ² between each score and the one before it, shape (n, m − 1) each."""
         return self.correlations(theta, np.diff(self.times))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -153,11 +156,11 @@ class InTime:
         Returns
         -------
         value : ndarray, shape (n, m)
-            The density of each score given the one before it.
+            One term per score: its density given the score before it.
         by_score : ndarray, shape (n, m)
-            The derivatives of the sum.
+            Derivatives of the summed terms with respect to z.
         by_time : ndarray, shape (n,)
-            The derivative of the sum with respect to T.
+            Derivative of the summed terms with respect to T.
         """
         rho, left = self.between(theta)
         value, by_score = np.zeros_like(z), np.zeros_like(z)
@@ -171,7 +174,7 @@ class InTime:
         return value, by_score, by_time.sum(axis=1)
 
     def precision(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the diagonal (n, m) and the off-diagonal (n, m − 1) of the tridiagonal precision matrix."""
+        """Return the diagonal (n, m) and off-diagonal (n, m − 1) of the scores' tridiagonal precision matrix."""
         rho, left = self.between(theta)
         diagonal = np.ones((len(theta), len(self.order)))
         diagonal[:, 1:] += rho**2 / left
@@ -179,7 +182,7 @@ class InTime:
         return diagonal, -rho / left
 
     def correlate(self, theta: FloatArray, e: FloatArray) -> FloatArray:
-        """Return the scores (n, m) with the innovations e (n, m)."""
+        """Return the correlated scores (n, m) that the innovations e (n, m) produce."""
         rho, left = self.between(theta)
         z = e.copy()
         for t in range(1, z.shape[1]):
@@ -187,17 +190,17 @@ class InTime:
         return z
 
     def innovations(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the innovations (n, m) of scores z (n, m)."""
+        """Return the innovations (n, m) that produce the scores z (n, m)."""
         rho, left = self.between(theta)
         return np.concatenate([z[:, :1], (z[:, 1:] - rho * z[:, :-1]) / np.sqrt(left)], axis=1)
 
     def next_scores(
         self, theta: FloatArray, z: FloatArray, e: FloatArray, covariates: Mapping[str, float]
     ) -> FloatArray:
-        """Return the score (n,) of a further test, with the innovation e (n,), given the scores z (n, m).
+        """Return a further test's score (n,), from its innovation e (n,) and the scores z (n, m) of the others.
 
         Its time is taken from `covariates`; by default it follows the last test after the median time between
-        tests. The score of a further test between two others depends on both.
+        tests. A further test between two others depends on both their scores.
         """
         time = covariates.get(self.by, float(self.times[-1] + np.median(np.diff(self.times))))
         k = int(np.searchsorted(self.times, time))
@@ -214,12 +217,12 @@ class InTime:
 
 @dataclass(frozen=True)
 class ScoresInTime:
-    """The density of the scores of populations, of which some are correlated in time.
+    """Score density for several populations, some of which are correlated in time.
 
     Attributes
     ----------
     every : tuple of InTime or None
-        The scores of each population in time; None if they are independent.
+        Each population's scores in time; None if they are independent.
     n_tests : int
     """
 
@@ -232,12 +235,12 @@ class ScoresInTime:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Indices in theta of the correlation times that are inferred."""
+        """Indices in theta of the inferred correlation times."""
         return tuple(column for _, one in self._each if (column := one.column) is not None)
 
     @property
     def times(self) -> set[str]:
-        """The covariates that are the times."""
+        """Names of the covariates that serve as time."""
         return {one.by for _, one in self._each} - {""}
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -247,6 +250,7 @@ class ScoresInTime:
         ----------
         theta : ndarray, shape (n, n_parameters)
         z : ndarray, shape (n, n_tests, p)
+            Scores.
 
         Returns
         -------
@@ -264,14 +268,14 @@ class ScoresInTime:
         return value, by_score, np.stack(by_columns, axis=1) if by_columns else np.zeros((len(z), 0))
 
     def precision(self, theta: FloatArray) -> FloatArray:
-        """Return the precisions of the scores of each test given the others, minus I, (n, n_tests, p, p)."""
+        """Return each score's precision given all others, minus I, as matrices of shape (n, n_tests, p, p)."""
         found = np.zeros((len(theta), self.n_tests, len(self.every), len(self.every)))
         for k, one in self._each:
             found[:, one.order, k, k] = one.precision(theta)[0] - 1.0
         return found
 
     def of_each(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the sums (n, n_tests) of the terms of `log_density` that contain a score of each test."""
+        """Return the sums (n, n_tests) of the terms in `log_density` that contain each test's score."""
         found = np.zeros(z.shape[:2])
         for k, one in self._each:
             terms = one.log_density(theta, z[:, one.order, k])[0]
@@ -281,7 +285,7 @@ class ScoresInTime:
 
     @cached_property
     def parts(self) -> list[BoolArray]:
-        """Masks of tests, (n_tests,) each: scores in one mask are independent given all other scores."""
+        """Test masks, shape (n_tests,) each. Scores within one mask are independent given all other scores."""
         beside: list[set[int]] = [set() for _ in range(self.n_tests)]
         for _, one in self._each:
             for a, b in pairwise(one.order.tolist()):
@@ -295,7 +299,7 @@ class ScoresInTime:
     def draw_times(
         self, rng: np.random.Generator, theta: FloatArray, z: FloatArray, parameters: Sequence[Parameter]
     ) -> FloatArray:
-        """Return a copy of theta after random walks of log T given the scores z, (n, n_tests, p)."""
+        """Return a copy of theta after random-walk steps in each log T, given the scores z (n, n_tests, p)."""
         for k, one in self._each:
             for _ in range(N_STEPS):
                 candidate, ratio = one.propose_time(rng, theta, parameters)
@@ -305,14 +309,14 @@ class ScoresInTime:
         return theta
 
     def correlate(self, theta: FloatArray, e: FloatArray) -> FloatArray:
-        """Return the scores with the innovations e, (n, n_tests, p) each."""
+        """Return the scores that the innovations e produce; both have shape (n, n_tests, p)."""
         z = e.copy()
         for k, one in self._each:
             z[:, one.order, k] = one.correlate(theta, e[:, one.order, k])
         return z
 
     def innovations(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the innovations of the scores z, (n, n_tests, p); independent scores are returned unchanged."""
+        """Return the innovations that produce the scores z, (n, n_tests, p); independent scores stay unchanged."""
         e = z.copy()
         for k, one in self._each:
             e[:, one.order, k] = one.innovations(theta, z[:, one.order, k])
@@ -321,7 +325,7 @@ class ScoresInTime:
     def next_scores(
         self, theta: FloatArray, z: FloatArray, e: FloatArray, covariates: Mapping[str, float]
     ) -> FloatArray:
-        """Return the scores (n, p) of a further test, with the innovations e (n, p), given the scores z of others.
+        """Return a further test's scores (n, p) from innovations e (n, p) and the other tests' scores z.
 
         `covariates` are as in `InTime.next_scores`.
         """

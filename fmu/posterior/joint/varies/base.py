@@ -22,24 +22,24 @@ Reference = tuple[float, FloatArray]
 
 
 class Role(NamedTuple):
-    """The meaning of a parameter of theta.
+    """Meaning of a parameter of theta.
 
     Attributes
     ----------
     kind : str
         ``"shared"``, ``"test"`` or ``"group"``: the value in all tests, in one test or in a group of tests;
-        ``"mean"`` or ``"sd"``: the mean or a standard deviation of a population; ``"score"``: the score of a test
-        in a population; ``"effect"``: the effect of a group on a population; ``"loss"``: the relative loss of a
-        group, or since an event; ``"correlation time"``: of a population, with the covariate that is the time;
-        ``"date"``: the date of an event; ``"slope"`` or ``"kink"``: the slope with a
-        covariate, or the place where it changes; ``"covariate"``: the value of a covariate in a test;
-        ``"correlation"``: a partial correlation of two populations; ``"share"``: the probability that a test is an
-        outlier; ``"noise"``: an inferred standard deviation of the errors.
+        ``"mean"`` or ``"sd"``: a population's mean or standard deviation; ``"score"``: a test's score in a
+        population; ``"effect"``: a group's effect on a population; ``"loss"``: the relative loss in a group, or
+        since an event; ``"correlation time"``: a population's correlation time; ``"date"``: the date of an event;
+        ``"slope"`` or ``"kink"``: the slope with a covariate, or the covariate value where it changes;
+        ``"covariate"``: the value of a covariate in a test; ``"correlation"``: a partial correlation between two
+        populations; ``"share"``: the probability that a test is an outlier; ``"noise"``: an inferred error sd.
     of : int or None
-        Index into ``layout.structural`` of the parameter of the structure; None for correlations, covariates,
-        dates and the share of outliers.
+        Index of the structural parameter in ``layout.structural``; None for correlations, covariates, dates and
+        the outlier share.
     where : str
-        Name of the test, group, covariate or event, if the role refers to one; otherwise empty.
+        Name of the test, group, covariate (for a correlation time, the time covariate) or event that the role
+        refers to; otherwise empty.
     """
 
     kind: str
@@ -53,7 +53,7 @@ class Slope(NamedTuple):
     Attributes
     ----------
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index of the parameter in theta.
+        For each test, the index of that parameter in theta.
     values : ndarray, shape (n, n_tests)
         The derivative of the value in each test.
     """
@@ -63,13 +63,13 @@ class Slope(NamedTuple):
 
 
 def add_by_column(gradient: FloatArray, slope: Slope) -> None:
-    """Add derivatives of the tests' terms to a gradient (n, ndim); several tests may have the same column."""
+    """Add per-test derivatives to `gradient` (n, ndim) in place; several tests may share a column."""
     for column in np.unique(slope.columns):
         gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
 
 
 def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
-    """Return the sums of the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
+    """Sum terms (n, m, …) that belong to the same test; return shape (n, n_tests, …). `test` has shape (m,)."""
     found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
     order = np.argsort(test, kind="stable")
     first = np.flatnonzero(np.diff(test[order], prepend=-1))
@@ -96,7 +96,7 @@ class SuddenLoss(NamedTuple):
     Attributes
     ----------
     date, loss : int
-        Their indices in theta.
+        Indices in theta of the date and the loss.
     times : ndarray, shape (n_tests,)
         The time of each test.
     """
@@ -107,7 +107,7 @@ class SuddenLoss(NamedTuple):
 
 
 class InTests:
-    """The values of a structural parameter in all tests, as a function of theta."""
+    """Values of a structural parameter in all tests, as a function of theta."""
 
     @property
     def base(self) -> InTests:
@@ -116,7 +116,7 @@ class InTests:
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """The sudden loss of the parameter from an unknown date on; None without one."""
+        """The parameter's sudden loss from an unknown date on; None if it has none."""
         return None
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
@@ -124,7 +124,7 @@ class InTests:
         raise NotImplementedError
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         raise NotImplementedError
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -132,7 +132,7 @@ class InTests:
         raise NotImplementedError
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) at theta (n, n_parameters) in a further test that resembles test `like`."""
+        """Return the values (n,) in a further test that resembles test `like`, at theta (n, n_parameters)."""
         return self(theta)[0][:, like]
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
@@ -141,24 +141,24 @@ class InTests:
         return np.asarray(1.0 - value / value[:, [reference]])
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> InTests:
-        """Return the parameter with another centring and reference of its scores; itself if it has no scores.
+        """Return a copy whose scores use another centring and reference, or itself if it has no scores.
 
-        `references` maps the index in theta of the centre to the centring and the reference; see `Drawn`.
+        `references` is keyed by the centre's index in theta; see `Drawn` for its values.
         """
         return self
 
     def after(self, n: int) -> InTests:
-        """Return a copy that reads its scores from columns of theta shifted by `n`; itself if it has no scores."""
+        """Return a copy that reads its scores from theta columns shifted by `n`, or itself if it has no scores."""
         return self
 
     def factors(self, theta: FloatArray) -> list[Factor]:
-        """Return the factors on the values of `base` at theta (n, n_parameters); none if this is the base."""
+        """Return the factors on the values of `base` at theta (n, n_parameters); empty if this is the base."""
         return []
 
 
 @dataclass(frozen=True)
 class Multiplied(InTests):
-    """A structural parameter that is another `InTests` times a factor in each test.
+    """A structural parameter whose values are another `InTests` times a factor in each test.
 
     Attributes
     ----------
@@ -192,26 +192,26 @@ class Multiplied(InTests):
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """The sudden loss of the parameter from an unknown date on; None without one."""
+        """The parameter's sudden loss from an unknown date on; None if it has none."""
         return self.of.sudden_loss
 
     def after(self, n: int) -> Self:
-        """Return a copy that reads its scores from columns of theta shifted by `n`."""
+        """Return a copy that reads its scores from theta columns shifted by `n`."""
         return replace(self, of=self.of.after(n))
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
+        """Return a copy whose scores use another centring and reference."""
         return replace(self, of=self.of.refer_to(references))
 
 
 class Future(NamedTuple):
-    """The conditions of a further test that has not been measured.
+    """Conditions in a further test that has not been measured.
 
     Attributes
     ----------
     rng : Generator
     scores : mapping of int to ndarray, shape (n,)
-        Standard normal scores in each population, by the index of the population's centre in theta.
+        Standard normal scores in each population, keyed by the index of the population's centre in theta.
     covariates : mapping of str to float
         Values of the covariates. Covariates without an entry have their means over the tests.
     """
@@ -222,7 +222,7 @@ class Future(NamedTuple):
 
 
 class Theta:
-    """The parameters of theta, collected while a layout is built. Scores follow all other parameters.
+    """Collects the parameters of theta while a layout is built. Scores follow all other parameters.
 
     Parameters
     ----------
@@ -255,18 +255,18 @@ class Theta:
         return self._covariates[name]
 
     def add(self, parameter: Parameter, kind: str, of: int | None, where: str = "") -> int:
-        """Add a parameter and its role; see `Role`; return the index of the parameter in theta."""
+        """Add a parameter and its role (see `Role`); return the index of the parameter in theta."""
         self.main.append(parameter)
         self.roles.append(Role(kind, of, where))
         return len(self.main) - 1
 
     def add_common(self, parameter: Parameter, kind: str, where: str) -> int:
-        """Add a parameter that several structural parameters may have in common; return its index in theta.
+        """Add a parameter that several structural parameters may share; return its index in theta.
 
         Raises
         ------
         ValueError
-            If another parameter of theta has its name.
+            If theta already has a different parameter with this name.
         """
         same = [k for k, other in enumerate(self.main) if other.name == parameter.name]
         if not same:
@@ -299,21 +299,21 @@ class Varies:
 
     @property
     def by_date(self) -> str | None:
-        """The time covariate of a loss at an unknown date, empty for the order of the tests; else None."""
+        """Name of the covariate that dates a loss, empty if test numbers do; None if no loss is undated."""
         return None
 
     @property
     def is_in_time(self) -> bool:
-        """Whether the values of its population are correlated in time."""
+        """Whether the population's values are correlated in time."""
         return self.population is not None and self.population is not self and self.population.is_in_time
 
     @property
     def population(self) -> Varies | None:
-        """The population of the values, which may be correlated with others; None if there is none."""
+        """Population of the values, which may be correlated with other populations; None if there is none."""
         return None
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list of messages on what the tests lack for the parameter `name` to vary in this way."""
+        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
         here = [test for test in tests if name not in test.known]
         found = []
         if self.by_test and len(here) < 2:
@@ -333,19 +333,19 @@ class Varies:
         p : Parameter
             The structural parameter.
         of : int
-            Index of `p` among the parameters of the structure.
+            Index of `p` among the structural parameters.
         theta : Theta
-            The new parameters are added to it.
+            Collects the new parameters.
         here : sequence of int
             Indices of the tests in which the value of `p` is not known.
 
         Raises
         ------
         ValueError
-            If the parameter cannot vary in this way.
+            If the parameter cannot vary like this.
         """
         raise NotImplementedError
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         return {}

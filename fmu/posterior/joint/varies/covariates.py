@@ -43,7 +43,7 @@ class Covariate:
         """Return the covariate `name` of the tests.
 
         If the true value in a test is not known, `add` adds it to theta as a parameter and returns its index. A
-        missing value has a normal prior with the mean and the standard deviation of the values in other tests.
+        missing value has a normal prior with the mean and standard deviation of the values in other tests.
         """
         known = known_values(name, tests)
         mean, n = float(known.mean()), len(tests)
@@ -60,28 +60,28 @@ class Covariate:
         return cls(name, values, columns, is_inferred, float(values.mean()))
 
     def at(self, theta: FloatArray) -> FloatArray:
-        """Return the values in the tests, (n, n_tests) or (1, n_tests), at theta (n, n_parameters)."""
+        """Return the covariate's values in the tests, (n, n_tests) or (1, n_tests), at theta (n, n_parameters)."""
         if not self.is_inferred.any():
             return self.values[None]
         return np.where(self.is_inferred, theta[:, self.columns], self.values)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their covariate values are equal at every theta."""
         return (True, int(self.columns[test])) if self.is_inferred[test] else (False, float(self.values[test]))
 
 
 def middle_of(given: float | Prior) -> float:
-    """Return a known value unchanged, and the median of a value given as a distribution."""
+    """Return the value itself if it is known, or the median if it is given as a distribution."""
     return given.median_within(*given.support) if isinstance(given, Prior) else float(given)
 
 
 def known_values(name: str, tests: Sequence[Test]) -> FloatArray:
-    """Return the values of a covariate, or their medians, in the tests where it is not missing."""
+    """Return a covariate's values, or their medians, in the tests in which it is not missing."""
     return np.array([middle_of(given) for test in tests if (given := test.covariates[name]) is not None])
 
 
 def find_mistakes_of_covariate(name: str, of: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages on what the tests lack for the parameter `of` to depend on a covariate."""
+    """Return messages about whatever the tests lack for the parameter `of` to depend on the covariate `name`."""
     absent = [t for t, test in enumerate(tests) if name not in test.covariates]
     if absent:
         rule = f"must have {name}, on which {of} depends (got none)"

@@ -30,19 +30,18 @@ class Damage(Varies):
     gain. Negative losses are allowed because noise produces them where there is no damage; without them the losses
     would be biased upwards.
 
-    If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d) with the population F of
-    the undamaged values (`Population`).
+    If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d), where F is the
+    distribution of the undamaged values (`Population`).
 
     Attributes
     ----------
     prior : Prior, optional
         Prior of each loss, between −0.5 and 0.95. Default: normal with mean 0 and standard deviation 0.3. If few
         parameters are expected to be damaged, use `fmu.SpikeAndSlab(share)`, where ``share`` is the probability
-        that a parameter is damaged: this prior shrinks small losses to zero and hardly changes large losses. (A
-        horseshoe prior also does this, with inferred scales. With precise tests the scales depend so strongly on
-        the losses that HMC did not converge.)
+        that a parameter is damaged: this prior shrinks small losses to zero and hardly changes large losses. (With
+        a horseshoe prior and precise tests, HMC did not converge.)
     scatter : Population, optional
-        Population of the undamaged values in the tests. By default all tests of a group have the same value.
+        Population of the undamaged values in the tests. By default all tests in a group have the same value.
     """
 
     prior: Prior | None = None
@@ -51,11 +50,11 @@ class Damage(Varies):
 
     @property
     def population(self) -> Population | None:
-        """The distribution of the undamaged values over the tests; None if they are equal."""
+        """Population of the undamaged values; None if they are the same in all tests."""
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
         found = super().find_mistakes(name, tests)
         return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
 
@@ -72,7 +71,7 @@ class Damage(Varies):
         return Lost(undamaged, columns, np.array([group != theta.reference for group in groups]))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         return {
             "prior": None if self.prior is None else self.prior.as_dict(),
             "scatter": None if self.scatter is None else self.scatter.as_dict(),
@@ -97,7 +96,7 @@ def undamaged_in_tests(
 ) -> InTests:
     """Add the undamaged value, or its population, to theta; return the undamaged values in the tests.
 
-    If all tests have the same value, it has the role `kind`, which holds for `where`.
+    If all tests have the same value, `kind` and `where` are its role in theta.
     """
     if scatter is not None:
         return scatter.in_tests(p, of, theta, here)
@@ -132,7 +131,7 @@ class Lost(Multiplied):
         return np.where(self.is_lost, theta[:, self.columns], 0.0)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         return self.of.identity(test), int(self.columns[test]), bool(self.is_lost[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -142,6 +141,6 @@ class Lost(Multiplied):
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, with the loss of the group of test `like`."""
+        """Return the values (n,) in a further test, which has the same loss as the group of test `like`."""
         undamaged = self.of.next_test(theta, like, future)
         return undamaged * (1.0 - theta[:, self.columns[like]]) if self.is_lost[like] else undamaged

@@ -1,14 +1,14 @@
-"""The values of a parameter that scatters over the tests: its scores, and the form in which they are sampled.
+"""A parameter that scatters over the tests, as a function of scores in centred or non-centred form.
 
-The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the score of the test, Φ is the standard normal distribution
-function, and F is the distribution function of a normal distribution truncated to the bounds of the parameter. If
-F is the population's, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This is the
-non-centred form of a hierarchical model, which is easy to sample where a test says little about its own value. If
-F is fixed, the scores are the values themselves in other units. This is the centred form, which is easy to sample
-where a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean
-w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical
-Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of
-the values.
+The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the test's score, Φ is the standard normal distribution
+function, and F is the distribution function of a normal distribution truncated to the parameter's bounds. If F is
+the population's own distribution, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ.
+This is the non-centred form of a hierarchical model, which is easy to sample where a test says little about its
+own value. If F is fixed, the scores are the values themselves in other units. This is the centred form, which is
+easy to sample where a test determines its own value well. A weight w per test interpolates between the two forms:
+F has the mean w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007,
+*Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the
+posterior of the values.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _FAR = 4.0
 
 
 class LastTheta:
-    """A cache of quantities computed at the last theta, for several callers."""
+    """Cache for quantities computed at the last theta, shared by several callers."""
 
     def __init__(self) -> None:
         self._theta: FloatArray | None = None
         self._known: dict[str, Any] = {}
 
     def remember(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
-        """Return ``compute(theta)`` and cache it under the name `what` until another theta is passed."""
+        """Return ``compute(theta)``, cached under the name `what` until a different theta is passed."""
         if self._theta is None or not np.array_equal(self._theta, theta):
             self._theta, self._known = theta.copy(), {}
         if what not in self._known:
@@ -54,7 +54,7 @@ class Drawn(InTests):
     Attributes
     ----------
     family : TruncatedFamily
-        The distributions of the values.
+        Family of the values' distributions.
     centre : int
         Index in theta of the population's mean or median.
     widths : ndarray of int, shape (n_tests,)
@@ -64,11 +64,11 @@ class Drawn(InTests):
     scored : ndarray of bool, shape (n_tests,)
         Whether the test has a score. If it has none, its value is known.
     centring : ndarray, shape (n_tests,)
-        The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
+        The weight w in the module docstring: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float and ndarray, shape (n_tests,)
         The reference centre μ₀, and the reference width σ₀ of each test.
     in_time : InTime, optional
-        The scores in time, if they are correlated in time.
+        The scores as a process in time, if they are correlated in time.
     last : LastTheta
         Cache of the values at the last theta, which both the likelihood and the prior need.
     """
@@ -89,24 +89,24 @@ class Drawn(InTests):
         return value, self._slopes(*slopes)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         return int(self.columns[test])
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the log ratio of the scores' density to the standard normal, (n, n_tests), and its derivatives.
+        """Return the log-ratio of the scores' density to the standard normal, (n, n_tests), and its derivatives.
 
-        The log ratio is zero where the centring is zero, because the scores are then standard normal.
+        It is zero where the centring is zero, because the scores are then standard normal.
         """
         found: tuple[FloatArray, list[Slope]] = self.last.remember("log ratio", theta, self._log_ratio)
         return found
 
     def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return the negative second derivative of each score's log-density, (n, n_tests), for distant bounds."""
+        """Return minus the second derivative of each score's log-density, (n, n_tests), ignoring the bounds."""
         value, (_, width), (_, blend), _ = self._at(theta)
         return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
-        """Add negative second derivatives over pairs of scores adjacent in time to `curvature`, scaled."""
+        """Add minus the scaled second derivatives between scores adjacent in time to `curvature` in place."""
         if self.in_time is None:
             return
         slopes, order = np.sqrt(self.curvature(theta)), self.in_time.order
@@ -136,7 +136,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with standard normal scores converted to scores with the present centring."""
+        """Return a copy of theta with its standard normal scores converted to the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.family.values(z, centre, width)[0]
@@ -160,7 +160,7 @@ class Drawn(InTests):
         return np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
 
     def scores_at(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores of the values (n, n_tests) in all tests, with the populations at theta (n, ndim)."""
+        """Return the scores of the values (n, n_tests) in all tests, for the population at theta (n, ndim)."""
         return self.family.scores(value, *self._parts(theta)[2])
 
     @cached_property
@@ -175,7 +175,7 @@ class Drawn(InTests):
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
         """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre).
 
-        The last three are broadcast against the scores, (n, n_tests).
+        The last three broadcast against the scores, (n, n_tests).
         """
         centre, width = theta[:, [self.centre]], theta[:, self.widths[: 1 if self.has_one_width else None]]
         if not self._is_centred:
@@ -193,7 +193,7 @@ class Drawn(InTests):
         return np.asarray(off * blend / centre if self.family.of_logarithm else np.broadcast_to(off, blend.shape))
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return the values, the population, the distribution F of the scores, and the values' derivatives."""
+        """Return the values, the population, the scores' distribution F, and the values' derivatives."""
         found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
         return found
 
@@ -221,10 +221,10 @@ class Drawn(InTests):
         return self.family.values(future.scores[self.centre], *ends)[0]
 
     def after(self, n: int) -> Self:
-        """Return a copy that reads its scores from columns of theta shifted by `n`."""
+        """Return a copy that reads its scores from theta columns shifted by `n`."""
         return replace(self, columns=self.columns + n)
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
+        """Return a copy whose scores use another centring and reference."""
         centring, reference = references[self.centre]
         return replace(self, centring=centring, reference=reference)

@@ -1,6 +1,6 @@
 """Laws by which a parameter depends on a covariate x: polynomials, and straight lines with kinks.
 
-A law gives the relative effect g(x) on the parameter. It is zero at x₀, the mean of the covariate over the tests.
+A law gives the relative effect g(x) on the parameter. It is zero at x₀, the covariate's mean over the tests.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ Add = Callable[[Parameter, str], int]
 
 
 class Evaluated(NamedTuple):
-    """The effects in the tests, and their derivatives.
+    """A covariate's effects in the tests, and their derivatives.
 
     Attributes
     ----------
     effect : ndarray, shape (n, n_tests)
     by_parameters : ndarray, shape (n, n_columns, n_tests)
+        Derivatives with respect to the law's parameters.
     by_x : ndarray, shape (n, n_tests)
+        Derivatives with respect to the covariate.
     """
 
     effect: FloatArray
@@ -39,12 +41,12 @@ class Evaluated(NamedTuple):
 
 
 class Effect:
-    """The relative effect g(x) of a covariate on a parameter, as a function of parameters of theta.
+    """Relative effect g(x) of a covariate on a structural parameter, as a function of parameters in theta.
 
     Attributes
     ----------
     columns : tuple of int
-        Indices in theta of the parameters of the law.
+        Indices in theta of the law's parameters.
     """
 
     columns: tuple[int, ...]
@@ -55,11 +57,11 @@ class Effect:
         Parameters
         ----------
         parameters : ndarray, shape (n, n_columns)
-            Values of the parameters of the law.
+            Values of the law's parameters.
         x : ndarray, shape (n, n_tests) or (1, n_tests)
             Values of the covariate.
         x0 : float
-            The value of the covariate at which the effect is zero.
+            The covariate value at which the effect is zero.
         """
         raise NotImplementedError
 
@@ -68,15 +70,15 @@ class Law:
     """A law by which a parameter depends on a covariate."""
 
     def bind(self, of: str, covariate: Covariate, add: Add) -> Effect:
-        """Add the law's parameters to theta with `add`; return the effect. `of` names their owner."""
+        """Add the law's parameters to theta with `add`, named after the parameter `of`; return the effect."""
         raise NotImplementedError
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return a list of messages on contradictions with the range of the covariate `name` in the tests."""
+        """Return messages about contradictions with the range of the covariate `name` in the tests."""
         return []
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         raise NotImplementedError
 
 
@@ -88,8 +90,8 @@ class Polynomial(Law):
     Attributes
     ----------
     priors : sequence of Prior
-        Priors of the coefficients b₁, b₂, …; their number is the degree of the polynomial. The unit of b_p is that
-        of 1/x^p. A single prior gives a straight line, just as a prior in place of a law does.
+        Priors of the coefficients b₁, b₂, …; their number is the degree of the polynomial. The unit of b_p is the
+        unit of 1/x^p. A single prior gives a straight line, as does a prior in place of a law.
 
     Raises
     ------
@@ -113,13 +115,13 @@ class Polynomial(Law):
         )
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         return {"law": "polynomial", "priors": [prior.as_dict() for prior in self.priors]}
 
 
 @dataclass(frozen=True)
 class PolynomialEffect(Effect):
-    """The effect of a polynomial; `columns` are its coefficients."""
+    """Effect of a polynomial, whose coefficients are in the `columns` of theta."""
 
     columns: tuple[int, ...]
 
@@ -140,18 +142,18 @@ class PolynomialEffect(Effect):
 class PiecewiseLinear(Law):
     """A law of straight pieces that meet in kinks, such as a stiffness that rises faster below the freezing point.
 
-    g(x) = Σ b_i (clip(x, c_i, c_{i+1}) − clip(x₀, c_i, c_{i+1})), where piece i with the slope b_i is between the
-    kinks c_i and c_{i+1} (Peeters & De Roeck 2001, *Earthq. Eng. Struct. Dyn.* 30, 149–171, find two such pieces
-    at the Z24 bridge).
+    g(x) = Σ b_i (clip(x, c_i, c_{i+1}) − clip(x₀, c_i, c_{i+1})), where piece i with the slope b_i lies between
+    the kinks c_i and c_{i+1} (Peeters & De Roeck 2001, *Earthq. Eng. Struct. Dyn.* 30, 149–171, find two such
+    pieces at the Z24 bridge).
 
     Attributes
     ----------
     prior : Prior
-        Prior of the relative slope of each piece.
+        Prior of each piece's relative slope.
     kinks : sequence of float or Prior
-        The values of the covariate at the kinks, in ascending order. A prior in place of the sequence means one
-        kink whose position is inferred, between the smallest and the largest value of the covariate in the tests.
-        The log-density is then continuous, but has kinks where this position passes the covariate of a test.
+        The covariate values at the kinks, in ascending order. A prior in place of the sequence means one kink
+        whose position is inferred, between the smallest and the largest covariate value in the tests. The
+        log-density is then continuous, but has kinks where this position passes a test's covariate value.
 
     Raises
     ------
@@ -179,7 +181,7 @@ class PiecewiseLinear(Law):
         return () if isinstance(self.kinks, Prior) else tuple(map(float, self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return a list of messages on kinks outside the range of the tests."""
+        """Return messages about kinks outside the range of the tests."""
         rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
         if self._prior_of_kink is not None:
             without = not np.isfinite(self._prior_of_kink.log_mass(low, high))
@@ -187,7 +189,7 @@ class PiecewiseLinear(Law):
         return [f"slopes.{of}: {rule} (got {given(at)})" for at in self._known_kinks if not low < at < high]
 
     def bind(self, of: str, covariate: Covariate, add: Add) -> PiecewiseEffect:
-        """Add the slope of each piece, and an inferred kink, to theta; return the effect."""
+        """Add each piece's slope, and the kink if it is inferred, to theta; return the effect."""
         prior = self._prior_of_kink
         ends = ["kink"] if prior is not None else [f"{given(at)}" for at in self._known_kinks]
         pieces = [f"below {ends[0]}", *(f"from {a} to {b}" for a, b in pairwise(ends)), f"above {ends[-1]}"]
@@ -201,7 +203,7 @@ class PiecewiseLinear(Law):
         return PiecewiseEffect(tuple(columns), None)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         prior = self._prior_of_kink
         kinks: Plain = list(self._known_kinks) if prior is None else prior.as_dict()
         return {"law": "piecewise-linear", "prior": self.prior.as_dict(), "kinks": kinks}
@@ -209,7 +211,7 @@ class PiecewiseLinear(Law):
 
 @dataclass(frozen=True)
 class PiecewiseEffect(Effect):
-    """The effect of straight pieces; `columns` are their slopes, followed by the kink if `kinks` is None."""
+    """Effect of straight pieces; `columns` are their slopes, followed by the kink if `kinks` is None."""
 
     columns: tuple[int, ...]
     kinks: tuple[float, ...] | None
@@ -234,12 +236,12 @@ class PiecewiseEffect(Effect):
 
 
 def slope(name: str, prior: Prior) -> Parameter:
-    """Return the parameter of theta that is a relative slope, which starts at zero or at the end of the prior."""
+    """Return a relative slope as a parameter of theta that starts at zero, clipped to the prior's support."""
     return Parameter(name, float(np.clip(0.0, *prior.support)), prior=prior)
 
 
 def law_of(how: Prior | Law | str) -> Law | None:
-    """Return the law; a prior means a straight line with this prior of its slope, a name no law."""
+    """Return the law; a prior becomes a straight line with that prior of its slope, and a name gives None."""
     if isinstance(how, str):
         return None
     return Polynomial([how]) if isinstance(how, Prior) else how

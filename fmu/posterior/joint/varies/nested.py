@@ -20,7 +20,7 @@ _FEWEST_GROUPS = 3
 
 @dataclass(frozen=True)
 class Nested(Multiplied):
-    """A parameter with an effect of each group on its values: θ = θ₀ (1 + s u_g), or θ₀ exp(s u_g).
+    """A parameter whose values include an effect of each test group: θ = θ₀ (1 + s u_g), or θ₀ exp(s u_g).
 
     The effects u_g are standard normal, one for each group of tests, and the standard deviation s between groups
     is inferred. θ₀ scatters within the groups (Gelman & Hill 2007, *Data Analysis Using Regression and
@@ -29,11 +29,11 @@ class Nested(Multiplied):
     Attributes
     ----------
     of : InTests
-        θ₀, the values in the tests without effects of groups.
+        θ₀, the values in the tests without group effects.
     width : int
-        Index in theta of s.
+        Index of s in theta.
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the effect u_g of its group.
+        For each test, the index in theta of its group's effect u_g.
     of_logarithm : bool
         Whether the effect is on the logarithm of the value.
     """
@@ -53,10 +53,10 @@ class Nested(Multiplied):
         theta: Theta,
         here: Sequence[int],
     ) -> Nested:
-        """Add s, with the prior `between`, and the effects of groups to theta; return the values in the tests.
+        """Add s, with the prior `between`, and the group effects to theta; return the values in the tests.
 
-        The parameter has the index `number` and the `name`. Its value is unknown in the tests `here`, and `of`
-        gives its values without effects.
+        `number` and `name` are the structural parameter's index and name. Its value is unknown in the tests
+        `here`, and `of` gives its values without effects.
         """
         median, least = between.median_within(*between.support), max(0.0, between.support[0])
         s = Parameter(f"{name} sd between groups", median, least, prior=between)
@@ -71,7 +71,7 @@ class Nested(Multiplied):
         return cls(of, width, np.array([numbers.get(test.group, first) for test in theta.tests]), of_logarithm)
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the factors of the groups in the tests, at theta (n, n_parameters)."""
+        """Return the group factors in the tests, at theta (n, n_parameters)."""
         s, u = theta[:, [self.width]], theta[:, self.columns]
         factor, by_effect = self._of_effect(s * u)
         by_width = Slope(np.full_like(self.columns, self.width), by_effect * u)
@@ -84,11 +84,11 @@ class Nested(Multiplied):
         return 1.0 + effect, np.ones_like(effect)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return relative losses of zero, (n, n_tests): effects of groups are scatter."""
+        """Return relative losses of zero, (n, n_tests), because group effects are scatter."""
         return np.zeros((len(theta), len(self.columns)))
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         return self.of.identity(test), int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -100,13 +100,13 @@ class Nested(Multiplied):
         return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test of the group of test `like`."""
+        """Return the values (n,) in a further test that belongs to the group of test `like`."""
         effect = theta[:, self.width] * theta[:, self.columns[like]]
         return self.of.next_test(theta, like, future) * self._of_effect(effect)[0]
 
 
 def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages on what the tests lack for the parameter `name` to differ between groups."""
+    """Return messages about whatever the tests lack for the parameter `name` to differ between groups."""
     rule = f"must be given, as {name} scatters between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     groups = {test.group for test in tests if name not in test.known}
@@ -117,7 +117,7 @@ def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
 
 
 def find_mistakes_of_sds(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages on what the tests lack for a standard deviation of `name` in each group."""
+    """Return messages about whatever the tests lack for `name` to have its own sd in each group."""
     rule = f"must be given, as the sd of {name} differs between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     sizes = Counter(test.group for test in tests if name not in test.known and test.group)

@@ -1,4 +1,4 @@
-"""A parameter that scatters from test to test: its distribution over the tests."""
+"""A parameter that scatters from test to test, with an inferred distribution over the tests."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Population(Varies):
     Attributes
     ----------
     distribution : {"normal", "log-normal"}
-        Distribution of the values over the tests, truncated to the bounds of the parameter. For ``"normal"``, the
-        mean and the standard deviation (in the parameter's unit) are inferred. For ``"log-normal"``, the median
-        and the standard deviation of the logarithm are inferred. The mean or median has the parameter's own prior
-        and bounds.
+        Distribution of the values over the tests, truncated to the parameter's bounds. For ``"normal"``, the mean
+        and the standard deviation (in the parameter's unit) are inferred. For ``"log-normal"``, the median and the
+        standard deviation of the logarithm are inferred. The mean or median has the parameter's own prior and
+        bounds.
     sd : Prior, optional
         Prior of the inferred standard deviation. Default: half-normal, with a scale of a fifth of the parameter's
         starting value, or of 0.2 for ``"log-normal"``.
@@ -52,8 +52,8 @@ class Population(Varies):
         log-normal, with 5 % below a third of the median time between tests, and 5 % above the time from the first
         test to the last. By default tests are independent.
     by : str
-        The covariate that is the time of a test, such as ``"day"``, different in every test. By default the tests
-        were made at times 1, 2, … in their order.
+        Covariate that gives the time of each test, such as ``"day"``; it differs in every test. By default the
+        tests were made at times 1, 2, … in their order.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class Population(Varies):
         return self.distribution == "log-normal"
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list of messages on what the tests lack for the parameter `name` to vary in this way."""
+        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
         found = super().find_mistakes(name, tests)
         if self.between is not None:
             found += find_mistakes_of_groups(name, tests)
@@ -102,7 +102,7 @@ class Population(Varies):
         return list(dict.fromkeys(found))
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
-        """Add centre, width and a score for each test in `here` to theta; return the values in the tests."""
+        """Add the centre, the width and a score per test in `here` to theta; return the values in the tests."""
         within = self._within_groups(p, of, theta, here)
         if self.between is None:
             return within
@@ -128,13 +128,13 @@ class Population(Varies):
         return Drawn(family, centre, widths, columns, scored, np.zeros(n), start, in_time)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
-        """Return the two inferred parameters of the distribution: centre and width.
+        """Return the distribution's two inferred parameters, centre and width.
 
         Raises
         ------
         ValueError
-            If the parameter may be zero or negative and the distribution is log-normal, or if `sd` is not given
-            and the parameter starts at zero, so that the default prior would have the scale zero.
+            If the distribution is log-normal and the parameter may be zero or negative, or if `sd` is not given
+            and the parameter starts at zero, so that the default prior would have scale zero.
         """
         if self.of_logarithm and of.lowest <= 0.0:
             raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")
@@ -149,7 +149,7 @@ class Population(Varies):
         return mean, Parameter(f"{of.name} {width}", median, max(0.0, prior.support[0]), np.inf, prior, unit)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         how = self.correlation_time
         return {
             "distribution": self.distribution,

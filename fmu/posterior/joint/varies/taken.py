@@ -23,9 +23,9 @@ class Taken(InTests):
     Attributes
     ----------
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the value.
+        For each test, the index of the value in theta.
     own : Parameter or None
-        The parameter if each test has its own value, else None. The value in a further test is drawn from its
+        The parameter if each test has its own value, otherwise None. The value in a further test is drawn from its
         prior.
     """
 
@@ -37,7 +37,7 @@ class Taken(InTests):
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         return int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +65,7 @@ class Held(InTests):
     n_tests: int
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests), and no derivatives."""
+        """Return the constant values (n, n_tests), and an empty list of derivatives."""
         return np.full((len(theta), self.n_tests), self.parameter.start), []
 
     def identity(self, test: int) -> Hashable:
@@ -73,7 +73,7 @@ class Held(InTests):
         return None
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the limits of the parameter's own prior, (n_tests,) each."""
+        """Return lower and upper limits of the parameter's own prior, (n_tests,) each."""
         p = self.parameter
         low, high = p.prior.box(p.lower, p.upper)
         return np.full(self.n_tests, low), np.full(self.n_tests, high)
@@ -89,7 +89,7 @@ class Shared(Varies):
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:
-        """Return the parameter with the prior of a further test's value; None unless each test has its own."""
+        """Return the parameter whose prior a further test's value is drawn from, or None if tests share values."""
         return None
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Taken:
@@ -115,7 +115,7 @@ class ByTest(Shared):
         return test.name
 
     def own(self, p: Parameter) -> Parameter:
-        """Return the parameter `p`."""
+        """Return the parameter `p`, because every test has its own value."""
         return p
 
 

@@ -38,9 +38,9 @@ class Trend(Multiplied):
     Attributes
     ----------
     of : InTests
-        θ₀, the value if every covariate has its mean over the tests.
+        θ₀, the value if every covariate equals its mean over the tests.
     effects : tuple of OnCovariate
-        The effects g_k, each of which is zero at the mean of its covariate.
+        The effects g_k, each of which is zero at its covariate's mean.
     """
 
     effects: tuple[OnCovariate, ...]
@@ -63,7 +63,7 @@ class Trend(Multiplied):
         return self.of.losses(theta, reference)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         return self.of.identity(test), *(covariate.identity(test) for _, covariate in self.effects)
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -84,7 +84,7 @@ class Trend(Multiplied):
         return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, with its covariates."""
+        """Return the values (n,) in a further test, including the effects of its covariates."""
         factor = np.ones(len(theta))
         for effect, covariate in self.effects:
             x = np.full((1, 1), future.covariates.get(covariate.name, covariate.mean))
@@ -93,7 +93,7 @@ class Trend(Multiplied):
 
 
 class Trends:
-    """The trends of the structural parameters, collected while a layout is built.
+    """Collects the trends of the structural parameters while a layout is built.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Trends:
     slopes : mapping of str to mapping of str to Prior, Law or str
         As in `fmu.JointProblem`, which has checked them.
     theta : Theta
-        The parameters of the laws are added to it.
+        Collects the laws' parameters.
     """
 
     def __init__(self, structural: Sequence[Parameter], slopes: Slopes, theta: Theta) -> None:
@@ -117,7 +117,7 @@ class Trends:
         self._effects: dict[tuple[str, str], OnCovariate] = {}
 
     def add_to(self, of: InTests, name: str) -> InTests:
-        """Return the structural parameter `name`, given without trends, with its trends; itself if it has none."""
+        """Add any trends of the structural parameter `name` to its values `of`; return `of` if it has none."""
         by = self._slopes.get(name, {})
         effects = tuple(
             self._effect(name if (name, key) in self._laws else str(how), key) for key, how in by.items()
@@ -125,7 +125,7 @@ class Trends:
         return Trend(of, effects) if effects else of
 
     def _effect(self, owner: str, covariate: str) -> OnCovariate:
-        """Return the effect of a covariate; the parameter `owner` may share it with other parameters."""
+        """Return a covariate's effect on the parameter `owner`, which may share it with other parameters."""
         found = self._effects.get((owner, covariate))
         if found is None:
             number, x = self._names.index(owner), self._theta.covariate(covariate)
@@ -138,7 +138,7 @@ class Trends:
 
 
 def in_common(names: Sequence[str]) -> str:
-    """Return the names of parameters as words: ``"k1 and k2"``; of many: ``"k1 and 11 others"``."""
+    """Join parameter names in words, such as ``"k1 and k2"``, or ``"k1 and 11 others"`` if there are many."""
     if len(names) == 1:
         return names[0]
     shown, last = (names[:-1], names[-1]) if len(names) <= _FEW else (names[:1], f"{len(names) - 1} others")
@@ -146,7 +146,7 @@ def in_common(names: Sequence[str]) -> str:
 
 
 def find_mistakes_of_slopes(slopes: Slopes, names: Sequence[str], tests: Sequence[Test]) -> list[str]:
-    """Return a list of messages on slopes that contradict the parameters `names` or the tests."""
+    """Return messages about slopes that contradict the parameters `names` or the tests."""
     found = []
     for name, by in slopes.items():
         if name not in names:

@@ -49,7 +49,7 @@ def truncated_normal_values(
 def _find_near(
     z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> BoolArray | None:
-    """Return a mask of the values on which the bounds have an influence; None if there is no such value."""
+    """Return a mask of the values that the bounds influence, or None if there is no such value."""
     if np.isneginf(lower) and np.isposinf(upper):
         return None
     near = ~are_bounds_distant(z, mean, sd, lower, upper)
@@ -63,7 +63,7 @@ def are_bounds_distant(
     lower: FloatArray | float,
     upper: FloatArray | float,
 ) -> BoolArray:
-    """Return a mask of the values on which the bounds have no influence, to rounding."""
+    """Return a mask of the values on which the bounds have no influence beyond rounding."""
     with np.errstate(over="ignore", invalid="ignore"):
         is_distant = np.minimum(mean - lower, upper - mean) >= _DISTANT * sd
         return np.asarray(is_distant & (np.abs(z) <= _CENTRAL))
@@ -72,7 +72,7 @@ def are_bounds_distant(
 def _values_near_bounds(
     z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, Slopes]:
-    """Return the values and derivatives of `truncated_normal_values`, with the influence of the bounds."""
+    """Return the values and derivatives of `truncated_normal_values`, accounting for the bounds."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         # computed in the nearer tail, where the probability is not rounded to 1
@@ -93,7 +93,7 @@ def _values_near_bounds(
 def truncated_normal_log_pdf(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, Slopes]:
-    """Return the log-density of the truncated normal distribution, and its derivatives over x, mean and sd.
+    """Return the truncated normal log-density, and its derivatives with respect to x, mean and sd.
 
     Parameters
     ----------
@@ -116,7 +116,10 @@ def truncated_normal_log_pdf(
 
 
 def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> Slopes:
-    """Return the log-probability of values within the bounds, and its negative derivatives over mean and sd."""
+    """Return the log-probability of the interval between the bounds, and minus its derivatives.
+
+    The derivatives are with respect to mean and sd.
+    """
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         log_mass = _log_mass(alpha, beta)
@@ -131,7 +134,7 @@ def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) 
 def truncated_normal_scores(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> FloatArray:
-    """Return z = Φ⁻¹(F(x)) for the truncated normal distribution F, the inverse of `truncated_normal_values`."""
+    """Return z = Φ⁻¹(F(x)) for the truncated normal distribution F; the inverse of `truncated_normal_values`."""
     z = (x - mean) / sd
     near = _find_near(z, mean, sd, lower, upper)
     if near is not None:
@@ -141,7 +144,7 @@ def truncated_normal_scores(
 
 
 def _scores_near_bounds(a: FloatArray, alpha: FloatArray, beta: FloatArray) -> FloatArray:
-    """Return the scores of standardised values `a` between standardised bounds."""
+    """Return the scores of standardised values `a` between the standardised bounds alpha and beta."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         total = _log_mass(alpha, beta)
         below, above = _log_mass(alpha, a) - total, _log_mass(a, beta) - total
@@ -157,7 +160,7 @@ def _log_mass(alpha: FloatArray, beta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class TruncatedFamily:
-    """The normal or log-normal distributions of values between two bounds.
+    """Normal or log-normal distributions truncated to two bounds.
 
     Attributes
     ----------
@@ -173,7 +176,7 @@ class TruncatedFamily:
 
     @cached_property
     def _ends(self) -> FloatArray:
-        """Bounds of the logarithm."""
+        """Logarithms of the bounds."""
         with np.errstate(divide="ignore"):
             return np.log([max(self.lower, 0.0), self.upper])
 
@@ -193,20 +196,20 @@ class TruncatedFamily:
         return value, (value * by_z, value * by_m / centre, value * by_s)
 
     def log_ratio(self, value: FloatArray, one: Normals, other: Normals) -> tuple[FloatArray, Slopes, Slopes]:
-        """Return the log ratio of the densities of two populations at some values, with derivatives.
+        """Return the log-ratio of two populations' densities at some values, with derivatives.
 
         Parameters
         ----------
         value : ndarray
         one, other : tuple of (ndarray, ndarray)
-            Centre and standard deviation of the population in the numerator, and of that in the denominator.
+            Centre and standard deviation of the numerator's population, and of the denominator's population.
 
         Returns
         -------
         ratio : ndarray
         by_one, by_other : tuple of three ndarray
-            Derivatives of the two log-densities with respect to value, centre and standard deviation.
-            ``by_other`` has to be subtracted.
+            Derivatives of the two log-densities with respect to value, centre and standard deviation. Subtract
+            ``by_other`` from ``by_one`` to differentiate the ratio.
         """
         (p, by_p), (q, by_q) = (self.log_pdf(value, *of) for of in (one, other))
         return p - q, by_p, by_q
@@ -219,7 +222,7 @@ class TruncatedFamily:
         return p, (by_x / value, by_m / centre, by_s)
 
     def scores(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> FloatArray:
-        """Return the scores of the values, the inverse of `values`."""
+        """Return the scores of the values; the inverse of `values`."""
         if not self.of_logarithm:
             return truncated_normal_scores(value, centre, sd, self.lower, self.upper)
         return truncated_normal_scores(np.log(value), np.log(centre), sd, *self._ends)

@@ -1,4 +1,4 @@
-"""A loss of a parameter from an unknown date on, at once or growing."""
+"""A parameter's loss from an unknown date on, either sudden or growing."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ RAMP = 0.2
 class UndatedDamage(Varies):
     """A parameter that loses a share d from an unknown date τ on: θ_t = θ₀ (1 − d r_t(τ)).
 
-    Damage at once: r_t(τ) = clip((x_t − τ) / w_t, 0, 1), where x_t is the time of the test. Tests before τ have no
-    loss, and tests after τ the whole loss. The tests cannot say when between two of them the damage happened, so
-    the posterior of τ is nearly flat there. A sharp step would make the log-density jump at x_t, which no sampler
-    by gradients can follow. So w_t is a fifth of the time since the test before: if τ is in the last fifth before
-    x_t, test t has a part of the loss. The log-density is then continuous, with a derivative almost everywhere. If
-    the last undamaged test deviates by chance as if it had lost something, τ may be in its last fifth.
+    Sudden damage: r_t(τ) = clip((x_t − τ) / w_t, 0, 1), where x_t is the time of the test. Tests before τ have no
+    loss, and tests after τ the whole loss. Between two tests the data cannot date the damage, so the posterior of
+    τ is nearly flat there. A sharp step would make the log-density jump at x_t, which gradient-based samplers
+    cannot follow. So w_t is a fifth of the time since the previous test: if τ is in the last fifth before x_t,
+    test t has part of the loss. The log-density is then continuous, with a derivative almost everywhere. If chance
+    makes the last undamaged test look slightly damaged, τ may lie in that last fifth.
 
     Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
     linearly from τ on, and d is the loss in the last test.
@@ -45,17 +45,17 @@ class UndatedDamage(Varies):
     Attributes
     ----------
     prior : Prior, optional
-        Prior of the loss d, as of `Damage`.
+        Prior of the loss d; the default is as in `Damage`.
     by : str
-        The covariate that is the time, such as ``"day"``. By default the tests were made at times 1, 2, … in their
-        order.
+        Covariate that gives the time of each test, such as ``"day"``. By default the tests were made at times 1,
+        2, … in their order.
     grows : bool
         Whether the loss grows linearly from the date on.
     date : Prior, optional
-        Prior of the date, in the unit of the time.
+        Prior of the date, in the time unit.
     event : str
         Name of the event. Parameters with the same event have the same date, named ``"day of damage"`` after the
-        time and the event, or ``"test of damage"`` in the order of the tests.
+        time and the event, or ``"test of damage"`` if test numbers serve as time.
     scatter : Population, optional
         Population of the undamaged values in the tests. By default all tests have the same undamaged value.
 
@@ -78,16 +78,16 @@ class UndatedDamage(Varies):
 
     @property
     def by_date(self) -> str:
-        """The covariate that is the time; empty for the order of the tests."""
+        """Name of the covariate that serves as time; empty if test numbers do."""
         return self.by
 
     @property
     def population(self) -> Population | None:
-        """The distribution of the undamaged values over the tests; None if they are equal."""
+        """Population of the undamaged values; None if they are the same in all tests."""
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
         found = [] if self.scatter is None else self.scatter.find_mistakes(name, tests)
         if self.by:
             rule = f"must have {self.by} as a number, which is the time of the damage of {name}"
@@ -107,13 +107,13 @@ class UndatedDamage(Varies):
         return found
 
     def times(self, tests: Sequence[Test]) -> FloatArray:
-        """Return the times of the tests, (n_tests,)."""
+        """Return the test times, shape (n_tests,)."""
         if not self.by:
             return np.arange(1.0, len(tests) + 1.0)
         return np.array([test.covariates[self.by] for test in tests], dtype=float)
 
     def _range(self, times: FloatArray) -> tuple[float, float]:
-        """Return the earliest and the latest date; `times` ascend."""
+        """Return the earliest and the latest possible date for the ascending test times."""
         return float(times[0]), float(times[-2 if self.grows else -1])
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
@@ -129,7 +129,7 @@ class UndatedDamage(Varies):
         return LostFrom(undamaged, loss, theta.add_common(date, "date", self.event), times, self.grows, self.by)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings, in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         return {
             "prior": None if self.prior is None else self.prior.as_dict(),
             "by": self.by,
@@ -155,7 +155,7 @@ class LostFrom(Multiplied):
     grows : bool
         Whether the loss grows from the date on.
     by : str
-        The covariate that is the time; empty for the order of the tests.
+        Name of the covariate that serves as time; empty if test numbers do.
     """
 
     column: int
@@ -165,14 +165,14 @@ class LostFrom(Multiplied):
     by: str
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the shares 1 − d r(τ) that are left in the tests, at theta (n, n_parameters)."""
+        """Return the remaining shares 1 − d r(τ) in the tests, at theta (n, n_parameters)."""
         loss, n = theta[:, [self.column]], len(self.times)
         share, by_date = self._share(theta, self.times)
         slopes = [Slope(np.full(n, self.column), -share), Slope(np.full(n, self.date), -loss * by_date)]
         return Factor(1.0 - loss * share, slopes)
 
     def _share(self, theta: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the shares r of the loss at some times, (n, n_times), and their derivatives by the date."""
+        """Return the loss shares r at some times, (n, n_times), and their derivatives with respect to the date."""
         since = times - theta[:, [self.date]]
         if self.grows:
             whole = self.times.max() - theta[:, [self.date]]
@@ -185,15 +185,15 @@ class LostFrom(Multiplied):
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """Where date and loss are in theta; None if the loss grows."""
+        """The sudden loss with its date's and its own index in theta; None if the loss grows."""
         return None if self.grows else SuddenLoss(self.date, self.column, self.times)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) in the tests, since before the date."""
+        """Return the relative losses (n, n_tests) in the tests, compared with the state before the date."""
         return theta[:, [self.column]] * self._share(theta, self.times)[0]
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
         return self.of.identity(test), float(self.times[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -207,7 +207,7 @@ class LostFrom(Multiplied):
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, at the time in its covariates or that of the last test."""
+        """Return values (n,) of a further test, at its time covariate or by default at the last test's time."""
         time = np.array([future.covariates.get(self.by, float(self.times.max()))])
         kept = 1.0 - theta[:, self.column] * self._share(theta, time)[0][:, 0]
         return self.of.next_test(theta, like, future) * kept
