@@ -1,4 +1,4 @@
-"""Instructions for exporting stiffness and mass from finite-element programs, by the suffix of the file."""
+"""Instructions for exporting stiffness and mass matrices from finite-element programs, listed by file suffix."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _PROGRAMS = {
 
 
 def how_to_export(suffix: str) -> str:
-    """Return text on how the programs that use this suffix export their matrices; empty for an unknown suffix.
+    """Return instructions for exporting matrices from programs that use this file suffix; empty if it is unknown.
 
     Parameters
     ----------
     suffix : str
-        Suffix of the file name in lower case, such as ``".op2"``.
+        Lower-case suffix of the file name, such as ``".op2"``.
     """
     said = "; ".join(f"{program}: {_HOW[program]}" for program in _PROGRAMS.get(suffix, ()))
     return said and f". How to get K and M out of {said}. The template of fmu init exports reads them"

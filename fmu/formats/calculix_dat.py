@@ -1,6 +1,6 @@
-"""Reader of the natural frequencies and modal displacements that CalculiX prints to ``job.dat``.
+"""Reader for natural frequencies and modal displacements that CalculiX prints to ``job.dat``.
 
-The step of the input deck must be as follows, with the sensor nodes in a set::
+The input deck needs this step, with the sensor nodes in a set::
 
     *FREQUENCY
     10
@@ -34,7 +34,7 @@ _COLUMNS, _FREQUENCY = 5, 3
 
 
 def read_frequencies(path: Path) -> FloatArray:
-    """Return the natural frequencies of the last step in Hz, shape (n,).
+    """Return the natural frequencies of the last step in Hz, shape (n_modes,).
 
     Raises
     ------
@@ -47,7 +47,7 @@ def read_frequencies(path: Path) -> FloatArray:
 
 
 def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None = None) -> dict[int, FloatArray]:
-    """Return a dict from node id to modal displacements, shape (n_modes, 3), in the last step, along global axes.
+    """Return the modal displacements in the last step along global axes, shape (n_modes, 3), keyed by node id.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     n_modes : int
         Number of modes in the step; see `read_frequencies`.
     nodes : collection of int, optional
-        Ids of the nodes; by default all nodes printed in every mode.
+        Node ids to read. Defaults to all nodes that are printed in every mode.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _last_step(path: Path) -> str:
 
 
 def _frequencies(text: str, name: str) -> FloatArray:
-    """Return column 4 (f in Hz) of the first table: mode number, eigenvalue, ω, f, imaginary part of ω."""
+    """Return the frequencies in Hz, shape (n_modes,), from column 4 of the first table in a step."""
     found: list[float] = []
     for line in text.splitlines():
         words = line.split()
@@ -102,7 +102,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
 
 
 def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
-    """Return a list with a dict for each mode, from node id to the node's three displacements as words."""
+    """Return one dict per mode, which maps each node id to its three displacements, still as text."""
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")
@@ -121,7 +121,7 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
 
 
 def _number(word: str, name: str) -> float:
-    """Return the value of a Fortran number, in which no letter precedes an exponent of three digits."""
+    """Convert a Fortran number to float. Fortran drops the letter before a three-digit exponent: ``1.0-100``."""
     try:
         return float(_NO_LETTER.sub(r"E\1", word))
     except ValueError:

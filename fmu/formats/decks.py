@@ -1,4 +1,4 @@
-"""Input decks of other programs as templates, with ``{E1}`` in place of the value of the parameter E1.
+"""Input decks of other programs used as templates, in which ``{E1}`` marks the value of parameter E1.
 
 A deck is any text, such as Nastran bulk data, APDL, an ``.inp`` file of Abaqus or CalculiX, or an OpenSees
 script::
@@ -41,9 +41,9 @@ _WORD = re.compile(r"[^\W\d]\w*")
 
 
 def read_deck(path: Path) -> str:
-    """Return the text of a deck with line ends and non-UTF-8 bytes preserved.
+    """Read a deck, preserving line ends and non-UTF-8 bytes.
 
-    Raises ValueError if it is not text.
+    Raises ValueError if the file is not text.
     """
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
@@ -55,17 +55,17 @@ def read_deck(path: Path) -> str:
 
 
 def write_deck(path: Path, text: str) -> None:
-    """Write the text of a deck, in the encoding in which it was read."""
+    """Write a deck in the same encoding that `read_deck` uses."""
     path.write_bytes(text.encode("utf-8", "surrogateescape"))
 
 
 def placeholders(text: str) -> set[str]:
-    """Return the set of names in braces in a deck, each of which may be a placeholder."""
+    """Return all names in braces in a deck; each may be a placeholder."""
     return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
 
 
 def filled_name(name: str) -> str:
-    """Return the file name of the deck that a template produces: ``"plate.inp"`` for ``"plate.inp.in"``.
+    """Return the name of the deck produced from a template: ``"plate.inp"`` for ``"plate.inp.in"``.
 
     Raises
     ------
@@ -80,18 +80,19 @@ def filled_name(name: str) -> str:
 
 
 def fill_deck(text: str, values: Mapping[str, float]) -> str:
-    """Return the text of a deck with its placeholders replaced by numbers.
+    """Replace the placeholders in a deck with numbers, and return the new text.
 
     Parameters
     ----------
     text : str
     values : mapping of str to float
+        Parameter values, by placeholder name.
 
     Raises
     ------
     ValueError
-        If a placeholder is not one of `values` or has a width other than 8 and 16 (the message lists each with its
-        line), or if the deck has no placeholder.
+        If the deck has no placeholder, or a placeholder has no value or a width other than 8 or 16. The message
+        lists each one with its line.
     """
     wrong = list(_mistakes(text, values))
     if not wrong and not placeholders(text) & values.keys():
@@ -103,7 +104,7 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
 
 
 def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of parameters as rounded in a filled deck, for example by ``{E1:8}``.
+    """Return the parameter values as rounded in a filled deck, for example by ``{E1:8}``.
 
     Raises
     ------
@@ -127,7 +128,7 @@ def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
 
 
 def _fill_in(match: re.Match[str], values: Mapping[str, float]) -> str:
-    """Return the text that replaces a placeholder, or other words in braces."""
+    """Return the replacement for text in braces: a number for a placeholder, otherwise the text itself."""
     if match[1] is not None:
         return f"{{{match[1]}}}"
     if match[2] not in values:
@@ -150,17 +151,17 @@ def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:
 
 
 def number(value: float) -> str:
-    """Return the text of a number with a decimal point, in at most `WIDEST` characters: ``"2.1e+11"``."""
+    """Format a number with a decimal point, in at most `WIDEST` characters: ``"2.1e+11"``."""
     return _shortest(value, WIDEST, "e")
 
 
 def columns(value: float, width: int) -> str:
-    """Return the text of a number in 8 or 16 columns, with its exponent written as in Nastran: ``"2.0735+9"``."""
+    """Format a number in 8 or 16 columns, with Nastran's exponent notation: ``"2.0735+9"``."""
     return _shortest(value, width, "").ljust(width)
 
 
 def _shortest(value: float, width: int, exponent: str) -> str:
-    """Return the text of at most `width` characters closest to `value`; of equally close texts, the shortest."""
+    """Return the text that gives `value` most accurately in at most `width` characters; on a tie, the shortest."""
     ways = set()
     for digits in range(1, 18):
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -175,5 +176,5 @@ def _shortest(value: float, width: int, exponent: str) -> str:
 
 
 def _read(text: str) -> float:
-    """Return the value of a number from a Nastran field, where an exponent has no letter."""
+    """Convert a Nastran field to float; its exponent has no letter."""
     return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) if "e" not in text else text)

@@ -1,4 +1,4 @@
-"""Text for messages: values, names and errors, shortened, on one line and without control characters."""
+"""Formats values, names and errors for messages: shortened, on one line and without control characters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DIGITS_A_BIT = 0.30103
 
 
 class _Shown(Repr):
-    """A `repr` that shows only the beginning of long values, at constant cost; dates and booleans as in TOML."""
+    """A `repr` that cuts long values short, at constant cost, and writes dates and booleans as in TOML."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -47,19 +47,19 @@ _SHOWN = _Shown()
 
 
 def quote(value: object) -> str:
-    """Return the text of a value, cut after about `MOST` characters."""
+    """Return a value's text for a message, cut after about `MOST` characters."""
     text = _SHOWN.repr(value)
     return text if len(text) <= MOST + 2 or text.endswith(" …") else f"{text[:MOST]} …"
 
 
 def names_shown(names: Collection[object]) -> str:
-    """Return names separated by commas; if there are more than `MOST_NAMES`, the first ones and the number."""
+    """Join names with commas. If there are more than `MOST_NAMES`, give the first ones and the total number."""
     first = ", ".join(_cut(str(name), MOST) for name in islice(names, MOST_NAMES))
     return first if len(names) <= MOST_NAMES else f"{first}, … ({len(names)} in all)"
 
 
 def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
-    """Return a text on one line; unprintable characters, which could move a cursor, are escaped."""
+    """Put a text on one line, at most `most` characters long, with unprintable characters escaped."""
     line = " ".join(_cut(text, 4 * most).split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
@@ -67,14 +67,14 @@ def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
 
 
 def list_mistakes(mistakes: Sequence[object]) -> list[str]:
-    """Return one line for each of the first `MOST_TOLD` error messages, and a line with the number of the rest."""
+    """Return the first `MOST_TOLD` error messages, one per line, and a line that counts the rest."""
     lines = [one_line(str(mistake)) for mistake in mistakes[:MOST_TOLD]]
     more = len(mistakes) - MOST_TOLD
     return [*lines, f"… and {whole(more)} more"] if more > 0 else lines
 
 
 def in_words(error: BaseException) -> str:
-    """Return the type and the text of an error on one line, even if converting the error to text fails."""
+    """Return an error's type and text on one line, even if converting the error to text fails."""
     name = type(error).__name__ or "an error"
     try:
         text = one_line(str(error), 500)

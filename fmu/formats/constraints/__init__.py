@@ -1,4 +1,4 @@
-"""Constraints between degrees of freedom: linear equations from other programs, and the matrix T of u = T q.
+"""Constraints between degrees of freedom: equations read from other programs, and the matrix T in u = T q.
 
 Reading order: equations, transformation, rigid; then one file per program (nastran, calculix, ansys).
 """

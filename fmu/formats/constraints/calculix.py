@@ -1,4 +1,4 @@
-"""Constraints in input decks of CalculiX and Abaqus: *EQUATION, *BOUNDARY and *TRANSFORM.
+"""Constraints in CalculiX and Abaqus input decks: *EQUATION, *BOUNDARY and *TRANSFORM.
 
 CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes. If
 *TRANSFORM rotates the axes of a node, CalculiX chooses the dependent degree of freedom of an equation: the global
@@ -49,15 +49,15 @@ def constraints_of(
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
 ) -> tuple[list[Equation], set[DofName], list[str]]:
-    """Return the equations along global axes, the degrees of freedom that supports hold, and notes.
+    """Return the constraint equations along global axes, the fixed degrees of freedom, and notes on skipped input.
 
     Parameters
     ----------
     found : Constraints
     places : mapping of int to (float, float, float)
-        Coordinates of the nodes.
+        Coordinates of each node.
     elements : mapping of int to tuple of int
-        Nodes of the elements.
+        Node ids of each element.
     face, is_numbered
         See `bodies_of`.
 
@@ -103,7 +103,10 @@ def constraints_of(
 
 
 def _along_local_axes(node: int, rows: Sequence[tuple[dict[DofName, float], int, str]]) -> list[Equation]:
-    """Return the equations of a node with its own axes, solved together because they share directions."""
+    """Solve a rotated node's constraint rows for its global displacements, and return the equations.
+
+    Each row is (coefficients, direction, source). The rows share directions, so they are solved together.
+    """
     chosen: list[DofName] = []
     unique = {(k, tuple(sorted(row.items()))): (row, k, source) for row, k, source in rows}
     for row, k, source in unique.values():
@@ -162,7 +165,7 @@ def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, t
 
 
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
-    """Yield the node and direction (counted from 0) of each degree of freedom that *BOUNDARY holds."""
+    """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes."""
     for words in one.rows():
         if len(words) < 2 or not words[1].isdecimal():
             for node in (
@@ -181,7 +184,10 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
 def _transform(
     found: Constraints, one: Keyword, places: Mapping[int, tuple[float, float, float]]
 ) -> dict[int, FloatArray]:
-    """Return the axes (rows) of the nodes of a *TRANSFORM: rectangular, or cylindrical if TYPE=C."""
+    """Return the local axes, shape (3, 3), of each *TRANSFORM node: rectangular, or cylindrical if TYPE=C.
+
+    Axes are rows.
+    """
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:
         raise ValueError(f"{one.source} must have six coordinates (got {len(words)})")

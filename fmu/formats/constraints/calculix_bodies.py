@@ -1,4 +1,4 @@
-"""Rigid bodies in decks of CalculiX: *RIGID BODY, and *COUPLING with *KINEMATIC.
+"""Rigid bodies in CalculiX decks: *RIGID BODY, and *COUPLING with *KINEMATIC.
 
 The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of the ROT NODE, or of a
 node that CalculiX adds, with a number above all others. Couplings are numbered first, then bodies, each in the
@@ -47,21 +47,22 @@ def bodies_of(
     is_numbered: bool,
     held: set[DofName],
 ) -> tuple[list[Equation], list[str]]:
-    """Return the equations of the bodies in a deck, and notes on constraints that are not read.
+    """Return the constraint equations of the rigid bodies in a deck, and notes on constraints that were skipped.
 
     Parameters
     ----------
     found : Constraints
     places : mapping of int to (float, float, float)
-        Coordinates of the nodes.
+        Coordinates of each node.
     elements : mapping of int to tuple of int
-        Nodes of the elements.
+        Node ids of each element.
     face : callable
-        ``face(element, "S3")`` returns the nodes of a face of a solid element.
+        ``face(element, "S3")`` returns the nodes on a face of a solid element.
     is_numbered : bool
-        Whether the numbers of added nodes are known: the deck makes CalculiX store matrices and has only solids.
+        Whether the numbers of the nodes that CalculiX adds are known. This requires that the deck requests matrix
+        storage and contains only solids.
     held : set of (node, direction)
-        Degrees of freedom that supports hold. A held rotation of a reference node is replaced in this set by the
+        Degrees of freedom that supports fix. If a reference node's rotation is fixed, its entry is replaced by the
         displacement of the added node.
 
     Raises
@@ -127,7 +128,7 @@ def _couplings(
     face: Callable[[int, str], Sequence[int]],
     notes: list[str],
 ) -> Iterator[_Body]:
-    """Yield the kinematic couplings; append a note to `notes` for each coupling that is not read."""
+    """Yield each kinematic coupling as a rigid body; append a note to `notes` for each skipped coupling."""
     for one, kind in pairwise([*found.keywords, Keyword("", {}, 0)]):
         if one.name != "COUPLING":
             continue

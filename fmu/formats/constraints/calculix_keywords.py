@@ -1,4 +1,4 @@
-"""Keywords with sets and constraints in decks of CalculiX and Abaqus, and the nodes that their lines name."""
+"""Keywords that define sets and constraints in CalculiX and Abaqus decks, and the nodes that they list."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_CHARACTERS = 2**28
 
 @dataclass(eq=False)
 class Keyword:
-    """A keyword with its options and lines.
+    """A keyword in a deck, with its options and data lines.
 
     Attributes
     ----------
@@ -46,20 +46,20 @@ class Keyword:
     lines: list[str] = field(default_factory=list)
 
     def rows(self) -> Iterator[list[str]]:
-        """Yield the words of each line, in upper case."""
+        """Yield the upper-case words on each data line."""
         for line in self.lines:
             yield [word.strip().upper() for word in line.rstrip(",").split(",")]
 
     @property
     def source(self) -> str:
-        """The words that name the keyword in messages."""
+        """Text that identifies the keyword in messages."""
         name = self.name.replace("RIGIDBODY", "RIGID BODY")
         return f"*{name} in line {self.line}"
 
 
 @dataclass(eq=False)
 class Constraints:
-    """The constraints and sets of a deck, in the order of the deck.
+    """Constraints and sets collected from a deck, in deck order.
 
     Attributes
     ----------
@@ -76,12 +76,15 @@ class Constraints:
     n_members: int = 0
 
     def begin(self, name: str, options: Mapping[str, str], line: int) -> None:
-        """Begin a keyword; its name and options are in upper case and without blanks."""
+        """Start a new keyword, or ignore it unless it is in `KEYWORDS` or `UNREAD`.
+
+        The name and options must be in upper case and without blanks.
+        """
         if name in KEYWORDS or name in UNREAD:
             self.keywords.append(Keyword(name, options, line))
 
     def add(self, name: str, line: str) -> None:
-        """Add a line to the last keyword, if its name is `name`."""
+        """Add a data line to the latest keyword if its name is `name`; otherwise ignore the line."""
         if not self.keywords or self.keywords[-1].name != name:
             return
         self.n_characters += len(line)
@@ -90,14 +93,14 @@ class Constraints:
         self.keywords[-1].lines.append(line)
 
     def count(self, n_members: int, source: str) -> None:
-        """Raise RefusedError if the sets have too many members in total."""
+        """Add `n_members` to the total size of all sets. Raise RefusedError if the total is too large."""
         self.n_members += n_members
         if self.n_members > MOST_ENTRIES:
             raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")
 
 
 def add_set(found: Constraints, one: Keyword) -> None:
-    """Add the members of a set, each once; a set may refer to earlier sets."""
+    """Add the members listed under an NSET or ELSET keyword, without duplicates; a set may list earlier sets."""
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
     for words in one.rows():
@@ -114,7 +117,10 @@ def add_set(found: Constraints, one: Keyword) -> None:
 
 
 def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
-    """Return the node with a number, or the nodes of a set. Raise RefusedError if there is no such set."""
+    """Return the node ids that `word` gives: a single id, or the nodes in the set of that name.
+
+    Raises RefusedError if there is no such set.
+    """
     if word.isdecimal() and len(word) <= 10:
         return [int(word)]
     if word not in found.nodes_of:
@@ -123,13 +129,13 @@ def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
 
 
 def require_node(node: int, places: Mapping[int, tuple[float, float, float]], source: str) -> None:
-    """Raise RefusedError if there is no node with this number."""
+    """Raise RefusedError if the deck has no node with this id."""
     if node not in places:
         raise RefusedError(f"must have the nodes of all constraints (there is no node {node}, of {source})")
 
 
 def whole(word: str, what: str) -> int:
-    """Return a word as a whole number. Raise ValueError, with the description `what`, if it is not one."""
+    """Convert a word to int. Raise ValueError, with the description `what`, if it is not a whole number."""
     if not (word.isdecimal() and len(word) <= 10):
         raise ValueError(f"{what} must be a whole number (got {quote(word)})")
     return int(word)

@@ -1,6 +1,6 @@
 """Linear constraint equations; each gives one dependent degree of freedom as a weighted sum of others.
 
-A dependent degree of freedom is called a dependent for short.
+This package calls a dependent degree of freedom "a dependent".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-14
 
 
 class Equation(NamedTuple):
-    """An equation for one dependent degree of freedom: u_dependent = Σ weight u.
+    """Constraint equation for one dependent degree of freedom: u_dependent = Σ weight · u.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Equation(NamedTuple):
         Weights of other degrees of freedom, along the axes of each node; rotations are in rad. Empty if the
         dependent degree of freedom does not move.
     source : str
-        The entry of the file that gives the equation, for messages: ``"RBE2 11"``.
+        The file entry that gives the equation, for messages: ``"RBE2 11"``.
     """
 
     dependent: DofName
@@ -40,7 +40,7 @@ class Equation(NamedTuple):
 
 
 def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Equation:
-    """Return Σ factor u = 0 solved for the first degree of freedom; a degree of freedom may occur several times.
+    """Solve Σ factor · u = 0 for the first degree of freedom; factors of repeated degrees of freedom are added.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Eq
 def solve_for_dependents(
     rows: Sequence[Mapping[DofName, float]], dependents: Sequence[DofName], source: str
 ) -> list[Equation]:
-    """Return the equations of one constraint, given as Σ coefficient u = 0 for each row, solved for `dependents`.
+    """Solve the rows Σ coefficient · u = 0 of one constraint for `dependents`; return one equation for each.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def solve_for_dependents(
         Coefficients; there must be as many rows as dependents.
     dependents : sequence of (node id, direction)
     source : str
-        The entry of the file, for messages.
+        The file entry, for messages.
 
     Raises
     ------
@@ -104,7 +104,10 @@ def solve_for_dependents(
 def equations_of(
     dependents: Sequence[DofName], names: Sequence[DofName], weights: FloatArray, source: str
 ) -> list[Equation]:
-    """Return one equation per dependent, from weights (n_dependents, n_names); rounding errors are dropped."""
+    """Return one equation per dependent, given its row of weights, shape (n_dependents, n_names).
+
+    Weights that are mere rounding errors are dropped.
+    """
     found = []
     for dependent, row in zip(dependents, np.asarray(weights), strict=True):
         keep = np.flatnonzero(np.abs(row) > NEGLIGIBLE * np.max(np.abs(row), initial=0.0))
@@ -113,7 +116,7 @@ def equations_of(
 
 
 def show_name(name: DofName) -> str:
-    """Return the name of a degree of freedom in words, such as ``node 8 x``."""
+    """Return a readable name for a degree of freedom, such as ``node 8 x``."""
     return f"node {name[0]} {name[1]}"
 
 

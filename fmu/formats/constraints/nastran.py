@@ -1,7 +1,7 @@
-"""Constraints in Nastran bulk data: RBE2, RBE3, RBAR, MPC and MPCADD, and which sets of SPC and MPC are active.
+"""Constraints in Nastran bulk data (RBE2, RBE3, RBAR, MPC, MPCADD), and the SPC and MPC sets that are active.
 
 MSC Nastran, *Quick reference guide*. Rigid elements are always active. MPC and SPC entries are active if the case
-control selects their set; in a file that contains only bulk data, all of them are.
+control selects their set; in a file that contains only bulk data, all of them are active.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Followed = list[tuple[list[int], float, list[int]]]
 
 @dataclass(eq=False)
 class Constraints:
-    """The constraint entries of a deck.
+    """Constraint entries collected from a deck.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Constraints:
     is_deck : bool
         Whether there is case control.
     unread : dict of str to int
-        Number of entries that are not read, by name.
+        Number of skipped entries, by name.
     n_fields : int
-        Number of fields of all entries.
+        Total number of fields in all entries.
     notes : list of str
     has_dmap : bool
         Whether the executive control has DMAP; in Nastran, OUTPUT4 is allowed only there.
@@ -72,7 +72,7 @@ class Constraints:
     is_of_mystran: bool = False
 
     def add(self, name: str, fields: list[str]) -> None:
-        """Store an entry if it is a constraint or selects constraints."""
+        """Store a bulk data entry if it defines or selects constraints; ignore all other entries."""
         if name in ENTRIES:
             self.n_fields += len(fields)
             if self.n_fields > MOST_FIELDS:
@@ -98,7 +98,7 @@ class Constraints:
                 self.selected[found[1]].add(int(found[2]))
 
     def sets(self, kind: str, known: Sequence[int]) -> list[int]:
-        """Return the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
+        """Return the ids of the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Constraints:
 def equations_of(
     constraints: Constraints, point: Callable[[int], Point], scalars: Collection[int]
 ) -> list[Equation]:
-    """Return the equations of the active constraints, along the axes of each node's degrees of freedom.
+    """Return the equations of all active constraints, along each node's own axes.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def equations_of(
     point : callable
         ``point(node)`` returns the position and axes of a node, or raises RefusedError if there is no such node.
     scalars : collection of int
-        Scalar points, which have only the direction x.
+        Ids of scalar points, which have only the direction x.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def _rbe3(
 
 
 def _groups(words: list[str], source: str) -> tuple[Followed, list[tuple[int, list[int]]]]:
-    """Return the groups of an RBE3, and the nodes and components after UM if these are dependent instead."""
+    """Return an RBE3's groups of followed points, and the dependent nodes and components that UM lists, if any."""
     groups: Followed = []
     dependents: list[tuple[int, list[int]]] = []
     at = 0

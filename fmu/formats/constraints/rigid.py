@@ -1,4 +1,4 @@
-"""Rigid links, and points that follow the weighted mean motion of others (RBE3), as constraint equations.
+"""Constraint equations for rigid links, and for points that follow the weighted mean motion of others (RBE3).
 
 A small rigid-body motion x = (u, θ) at a reference point moves a point at distance r by u + θ × r and rotates it
 by θ. A point that follows others by a weighted mean moves with the rigid body that fits them best,
@@ -8,7 +8,7 @@ by θ. A point that follows others by a weighted mean moves with the rigid body 
 where H_iᵀ x is the motion along degree of freedom i (MYSTRAN, *User's reference manual*, appendix E). Since
 version 70.7, the result in Nastran does not depend on the units (MSC Nastran, *Quick reference guide*, RBE3): the
 weights of rotations are multiplied by L², where L is the mean distance of the points from the reference point.
-This was not compared with Nastran, which was not available. L has no effect if no rotations are followed.
+L has no effect if no rotations are followed. The result has not been compared with Nastran itself.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from fmu.types import DIRECTIONS, FloatArray
 
 
 class Point(NamedTuple):
-    """A node of a constraint.
+    """A node in a constraint.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Point(NamedTuple):
     place : ndarray, shape (3,)
         Global coordinates.
     axes : ndarray, shape (3, 3)
-        Unit vectors (rows) in the directions of the node's degrees of freedom.
+        Unit vectors (rows) along the node's degrees of freedom.
     """
 
     node: int
@@ -41,7 +41,7 @@ class Point(NamedTuple):
     axes: FloatArray
 
     def names(self, components: Sequence[int]) -> list[DofName]:
-        """Return the names of the degrees of freedom for components numbered from 1 to 6."""
+        """Return the (node, direction) names for the given components, which are numbered from 1 to 6."""
         return [(self.node, DIRECTIONS[k - 1]) for k in components]
 
 
@@ -49,7 +49,10 @@ ALL = (1, 2, 3, 4, 5, 6)
 
 
 def rigid_motion(point: Point, reference: Point) -> FloatArray:
-    """Return S, shape (6, 6), in u_point = S u_reference for a point on a rigid body, along each node's axes."""
+    """Return the matrix S in u_point = S u_reference for two points on a rigid body, shape (6, 6).
+
+    Each motion is along the axes of its own node.
+    """
     x, y, z = point.place - reference.place
     turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # θ × r = turned θ
     own, other = point.axes, reference.axes.T
@@ -62,7 +65,7 @@ def rigid_motion(point: Point, reference: Point) -> FloatArray:
 def rigid_link(
     reference: Point, points: Sequence[Point], components: Sequence[int], source: str
 ) -> list[Equation]:
-    """Return equations by which components (1 to 6) of points move with a reference point as one rigid body."""
+    """Return equations that tie the given components (1 to 6) of all `points` rigidly to the reference point."""
     rows = [k - 1 for k in components]
     found: list[Equation] = []
     for point in points:
@@ -76,12 +79,14 @@ def rigid_body(
     dependent: Sequence[tuple[Point, Sequence[int]]],
     source: str,
 ) -> list[Equation]:
-    """Return the equations of a rigid body (RBAR) whose motion is determined by six components at its points.
+    """Return the equations of a rigid body (RBAR) whose motion is determined by six independent components.
+
+    Both arguments list points with their components, numbered from 1 to 6.
 
     Raises
     ------
     RefusedError
-        If there are not six independent components, or they do not determine the motion of the body.
+        If there are not six independent components, or they do not determine the body's motion.
     """
     origin = independent[0][0]
     names = [name for point, which in independent for name in point.names(which)]
@@ -108,17 +113,17 @@ def mean_motion(
     *,
     by_length: bool = True,
 ) -> list[Equation]:
-    """Return the equations of a reference point that follows the weighted mean motion of other points (RBE3).
+    """Return the equations for a reference point that follows the weighted mean motion of other points (RBE3).
 
     Parameters
     ----------
     reference : Point
     components : sequence of int
-        Components from 1 to 6 of the reference point that follow the other points.
+        Components (1 to 6) of the reference point that follow the other points.
     followed : sequence of (Point, components, weight)
-        The points with the components that are followed, and the weight of each of these components.
+        Each followed point, its followed components, and the weight of each component.
     source : str
-        The entry of the file, for messages.
+        The file entry, for messages.
     by_length : bool
         Whether the weights of rotations are multiplied by L², as in Nastran; in MYSTRAN they are not.
 
@@ -156,6 +161,9 @@ def _rows(point: Point, components: Sequence[int], reference: Point) -> FloatArr
 
 
 def _length(points: Sequence[Point], reference: Point) -> FloatArray:
-    """Return scales (6,) for a rigid motion: 1 for displacements and 1/L for rotations, L the largest distance."""
+    """Return scale factors for a rigid motion, shape (6,): 1 for displacements and 1/L for rotations.
+
+    L is the largest distance between the reference and the points.
+    """
     size = max(float(np.linalg.norm(point.place - reference.place)) for point in points)
     return np.array([1.0] * 3 + [1.0 / size if size > 0.0 else 1.0] * 3)

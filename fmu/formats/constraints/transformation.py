@@ -1,4 +1,4 @@
-"""The matrix T of u = T q, from equations whose dependent degrees of freedom may follow other dependents.
+"""The matrix T in u = T q, assembled from equations whose dependents may follow other dependents.
 
 In the equations u = C u + P q, C contains the weights of the dependents and P selects the independent degrees of
 freedom q, so T = (I − C)⁻¹ P. Without circular dependencies C is nilpotent, and
@@ -27,13 +27,13 @@ TOLD = 6
 
 
 class Transformation(NamedTuple):
-    """The matrix T of u = T q.
+    """The matrix T in u = T q, with names for its rows and columns.
 
     Attributes
     ----------
     T : csr_array, shape (n_dof, n_independent)
     dofs : list of (node id, direction)
-        Names of the rows of T: the given names, followed by further names from the equations.
+        Names of the rows: the given degrees of freedom, then any others that appear in the equations.
     independent : list of (node id, direction)
         Names of the columns, in the order of `dofs`.
     """
@@ -46,21 +46,21 @@ class Transformation(NamedTuple):
 def transformation(
     equations: Sequence[Equation], dofs: Sequence[DofName], held: Collection[DofName] = ()
 ) -> Transformation:
-    """Return T of u = T q for the degrees of freedom q that are neither dependent nor held.
+    """Return T in u = T q, where q are the degrees of freedom that are neither dependent nor fixed.
 
     Parameters
     ----------
     equations : sequence of Equation
         In any order; a dependent may follow other dependents.
     dofs : sequence of (node id, direction)
-        The rows of the unconstrained matrices.
+        Row names of the unconstrained matrices.
     held : collection of (node id, direction)
-        Degrees of freedom that do not move.
+        Fixed degrees of freedom.
 
     Raises
     ------
     RefusedError
-        If a degree of freedom is dependent twice, or both dependent and held; if dependencies are circular; or if
+        If a degree of freedom is dependent twice, or both dependent and fixed; if dependencies are circular; or if
         T has too many entries or one that is not finite. The message names them and the constraints.
     """
     still = set(held)
@@ -94,7 +94,10 @@ def transformation(
 
 
 def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict[DofName, str]:
-    """Return the constraint that defines each dependent. Raise RefusedError if there are two, or it is held."""
+    """Return a dict that maps each dependent to the constraint that defines it.
+
+    Raises RefusedError if two constraints define the same dependent, or a support fixes it.
+    """
     source: dict[DofName, str] = {}
     for one in equations:
         name = one.dependent
@@ -110,7 +113,7 @@ def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict
 
 
 def _check_circles(C: sp.csr_array, names: Sequence[DofName], source: dict[DofName, str]) -> None:
-    """Raise RefusedError if the dependencies of degrees of freedom are circular."""
+    """Raise RefusedError if the nonzeros of C form a circular dependency."""
     _, label = connected_components(C, directed=True, connection="strong")
     _, first, count = np.unique(label, return_index=True, return_counts=True)
     alone = C.diagonal() != 0.0

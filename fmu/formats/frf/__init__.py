@@ -1,4 +1,4 @@
-"""Readers of measured frequency response functions: universal files, text tables, and arrays of NumPy and MATLAB.
+"""Readers for measured frequency response functions: universal files, text tables, NumPy and MATLAB arrays.
 
 Reading order: measured_frfs, read; then one file per format.
 """

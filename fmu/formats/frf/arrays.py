@@ -1,4 +1,4 @@
-"""Reader of frequency response functions in arrays: NumPy ``.npz``, MATLAB ``.mat`` and HDF5 files.
+"""Reader for frequency response functions stored as arrays: NumPy ``.npz``, MATLAB ``.mat`` and HDF5 files.
 
 The arrays have the names of the attributes of `fmu.FRFData`, or a common name in `NAMES`. Other names are given by
 ``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs is (n_frfs,
@@ -77,16 +77,17 @@ def read_mat(path: Path, wanted: Wanted) -> MeasuredFRFs:
 
 
 def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_first: bool) -> MeasuredFRFs:
-    """Return the FRFs in named arrays.
+    """Build `MeasuredFRFs` from arrays that were read from a file.
 
     Parameters
     ----------
     name : str
         Name of the file, for messages.
     arrays : mapping of str to ndarray
+        Arrays by their names in the file.
     wanted : Wanted
     lines_first : bool
-        Whether the lines are along the first axis of a square matrix of FRFs.
+        Whether frequency lines run along the first axis if the FRF matrix is square.
 
     Raises
     ------
@@ -130,9 +131,9 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
 
 
 def mat_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of numbers and of text of a MATLAB file of versions 4 to 7, read by SciPy.
+    """Read all numeric and text arrays in a MATLAB file of version 4 to 7, with SciPy.
 
-    A field of a structure is named ``structure.field``.
+    A structure's field is named ``structure.field``.
     """
     from scipy.io import loadmat
 
@@ -141,7 +142,7 @@ def mat_arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> Iterator[tuple[str, AnyArray]]:
-    """Yield the name and value of each array of numbers or text, including those in structures."""
+    """Yield the name and value of each numeric or text array, with structures expanded."""
     for name, value in content.items():
         array = np.asarray(value)
         fields = getattr(value, "_fieldnames", None)
@@ -154,7 +155,7 @@ def _flat(prefix: str, content: Mapping[str, Any]) -> Iterator[tuple[str, AnyArr
 
 
 def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of numbers and of text in an HDF5 file, such as a MATLAB 7.3 file.
+    """Read all numeric and text arrays in an HDF5 file, such as a MATLAB 7.3 file.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
     numbers as pairs.
@@ -177,7 +178,7 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
-    """Return the numbers or the text in a dataset; None if it contains neither."""
+    """Return the numbers or text in a dataset, or None if it contains neither."""
     if dataset.nbytes > LARGEST_CONTENT:
         raise ValueError(f"must hold at most {LARGEST_CONTENT} bytes (got {dataset.nbytes})")
     if dataset.dtype.kind == "O":
@@ -196,7 +197,10 @@ def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
 def _find(
     name: str, arrays: Mapping[str, AnyArray], attribute: str, variables: Mapping[str, str]
 ) -> AnyArray | None:
-    """Return the array of an attribute, or None. Raise ModesError if the array that the user named is missing."""
+    """Return the array for an attribute of `fmu.FRFData`, or None if the file does not have it.
+
+    Raises ModesError if the user named an array that is missing.
+    """
     if attribute in variables:
         if variables[attribute] not in arrays:
             rule = f"must be one of {names_shown(list(arrays))} (got {variables[attribute]!r})"
@@ -212,7 +216,7 @@ def _numbers(name: str, attribute: str, array: AnyArray | None) -> AnyArray:
 
 
 def _rows(name: str, attribute: str, array: AnyArray, n_lines: int, lines_first: bool) -> AnyArray:
-    """Return an array of FRFs with one row per FRF, shape (n_frfs, n_lines)."""
+    """Return an array of FRFs rearranged to one row per FRF, shape (n_frfs, n_lines)."""
     if array.ndim < 2:
         array = array.reshape(1, -1)
     axes = [axis for axis in (0, array.ndim - 1) if array.shape[axis] == n_lines]
@@ -224,7 +228,7 @@ def _rows(name: str, attribute: str, array: AnyArray, n_lines: int, lines_first:
 
 
 def _points(array: AnyArray | None) -> Points | None:
-    """Return points from rows of text "place direction", or from two columns of places and directions."""
+    """Return points from text rows "place direction", or from two columns with places and directions."""
     if array is None or array.dtype.kind != "U":
         return None
     rows = array.reshape(-1, array.shape[-1]) if array.ndim == 2 else np.ravel(array)[:, None]

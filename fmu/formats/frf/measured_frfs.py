@@ -1,4 +1,4 @@
-"""Frequency response functions (FRFs) that a reader has found in a file, and the interface of a format."""
+"""Frequency response functions (FRFs) read from a file, and the interface that each file format implements."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _NUMBER = re.compile(r"-?\d{1,18}")
 
 
 class Wanted(NamedTuple):
-    """The user's specifications for a file.
+    """User settings that say which FRFs to read from a file, and at which points they were measured.
 
     Attributes
     ----------
     drives, responses : sequence of (place, direction), optional
-        Points of the FRFs in the order of the file.
+        Drive and response point of each FRF, in file order.
     nodes : mapping of node number to place, optional
-        Place in the model of each node of the file; FRFs at other nodes are skipped.
+        Model location of each node in the file; FRFs at other nodes are skipped.
     variables : mapping of str to str
-        Names of the variables in the file, by the names of the attributes of `fmu.FRFData`.
+        Variable names in the file, by `fmu.FRFData` attribute.
     frfs : sequence of int, optional
         Numbers of the FRFs in the file, counted from 1.
     """
@@ -45,7 +45,7 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFRFs:
-    """FRFs in SI units: arguments of `fmu.FRFData`.
+    """Measured FRFs in SI units; the attributes are arguments of `fmu.FRFData`.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class MeasuredFRFs:
     sd, coherence : ndarray, shape (n_frfs, n_lines), optional
     averages : float, optional
     notes : tuple of str
-        Sentences on the assumptions made.
+        Sentences that state the assumptions made.
     """
 
     frequencies_hz: FloatArray
@@ -72,7 +72,10 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
 
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
-        """Return the FRFs with the given numbers, from 1; all if `frfs` is None. `name` is the file's name."""
+        """Return a copy with only the FRFs numbered in `frfs` (from 1), or all FRFs if it is None.
+
+        `name` is the file name for messages.
+        """
         if frfs is None:
             return self
         rows = rows_of(name, frfs, len(self.values))
@@ -92,16 +95,16 @@ class MeasuredFRFs:
 
 @dataclass(frozen=True)
 class FRFFormat:
-    """A file format for FRFs.
+    """Reader for one FRF file format.
 
     Attributes
     ----------
     suffixes : tuple of str
-        Suffixes of the file names, in lower case.
+        File name suffixes, in lower case.
     read : callable
         ``read(path, wanted)`` returns `MeasuredFRFs`.
     takes : tuple of str
-        Which of ``nodes`` and ``variables`` the format can use.
+        The settings that the format supports: ``nodes``, ``variables``, both or neither.
     """
 
     suffixes: tuple[str, ...]
@@ -110,9 +113,9 @@ class FRFFormat:
 
 
 def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
-    """Return the rows (from 0) of the FRFs with the given numbers.
+    """Convert FRF numbers, counted from 1, to row indices.
 
-    Raises ModesError unless they are from 1 to `n`.
+    Raises ModesError unless all numbers are between 1 and `n`.
     """
     wrong = [number for number in frfs if not 1 <= number <= n]
     if wrong or len(frfs) == 0:
@@ -121,7 +124,7 @@ def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
 
 
 def point_of(text: str) -> Dof:
-    """Return the place and direction of a point that a file gives as text, such as ``"tip -z"`` or ``"12 x"``."""
+    """Parse a point such as ``"tip -z"`` or ``"12 x"`` into its place and direction."""
     place, _, direction = text.strip().rpartition(" ")
     place = place.strip()
     return (int(place) if _NUMBER.fullmatch(place) else place, direction)
@@ -130,7 +133,10 @@ def point_of(text: str) -> Dof:
 def points_in_order(
     name: str, key: str, found: Sequence[Dof] | None, given: Points | None, n: int
 ) -> tuple[Dof, ...]:
-    """Return the given points, or else those found in the file. Raise ModesError if there are not `n` of them."""
+    """Return the `given` points, or the points `found` in the file if none are given.
+
+    Raises ModesError unless there are `n` points.
+    """
     points = found if given is None else given
     if points is None:
         raise ModesError(name, [f"{key}: must be given, the place and the direction of each of the {n} FRFs"])

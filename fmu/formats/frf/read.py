@@ -1,4 +1,4 @@
-"""The reader of frequency response functions of any format, by the suffix of the file."""
+"""Read frequency response functions from any supported file format, recognised by the file suffix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FORMAT_OF = {suffix: one for one in FORMATS for suffix in one.suffixes}
 
 
 def read_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs in a file.
+    """Read the FRFs in a file.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def read_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     ImportError
         If a library that reads the format is not installed.
     ValueError
-        If the suffix is unknown, an argument does not apply to the format, or the file has no such FRFs.
+        If the suffix is unknown, an argument does not apply to the format, or the requested FRFs are missing.
     """
     suffix = path.suffix.lower()
     if suffix not in _FORMAT_OF:

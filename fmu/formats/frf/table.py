@@ -1,4 +1,4 @@
-"""Reader of frequency response functions from text tables, as written by spreadsheets.
+"""Reader for frequency response functions in text tables, as exported from spreadsheets.
 
 In the first form there is one row per frequency line. The columns of an FRF are ``re`` and ``im``, or
 ``amplitude`` and ``phase_deg``, preceded by its response and its drive; ``coherence`` and ``sd`` are optional::
@@ -14,7 +14,7 @@ In the second form there is one row per value::
     10.5,tip z,root y,0.0014,-21.0
 
 A point is a node or its name, a blank, and a direction: x, y, z, rx, ry or rz, optionally with a minus sign. A
-cell without a value is empty or ``nan``. Values are in SI units; separators and comments are as in
+missing value is an empty cell or ``nan``. Values are in SI units; separators and comments are as in
 `fmu.formats.modes.csv`.
 """
 
@@ -50,7 +50,7 @@ _Columns = dict[str, FloatArray]
 
 
 def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs in a table.
+    """Read the FRFs in a text table.
 
     Raises
     ------
@@ -88,7 +88,10 @@ def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
 def _read_wide(
     path: Path, header: Sequence[str], rows: Sequence[Row], found: list[str]
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
-    """Return frequencies, and the columns of each FRF by response and drive, of a table with a row per line."""
+    """Read a table with one row per frequency line.
+
+    Returns the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
+    """
     frfs: dict[tuple[str, str], _Columns] = {}
     for name in header:
         match = _COLUMN.fullmatch(name)
@@ -106,7 +109,10 @@ def _read_wide(
 def _read_long(
     path: Path, header: Sequence[str], rows: Sequence[Row], found: list[str]
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
-    """Return frequencies, and the columns of each FRF by response and drive, of a table with a row per value."""
+    """Read a table with one row per FRF value.
+
+    Returns the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
+    """
     parts = [name for name in header if name not in (_FREQUENCY, *_POINTS)]
     allowed = [*(name for pair in _PAIRS for name in pair), *_OPTIONAL]
     found += [f"column {name}: must be one of {names_shown(allowed)}" for name in parts if name not in allowed]
@@ -155,7 +161,7 @@ def _frequencies(rows: Sequence[Row], found: list[str]) -> FloatArray:
 
 
 def _column(rows: Sequence[Row], name: str, found: list[str]) -> FloatArray:
-    """Return a column of numbers, NaN for an empty cell; append an error to `found` for each invalid cell."""
+    """Return a column as numbers, with NaN for empty cells; append an error to `found` for each invalid cell."""
     column = np.empty(len(rows))
     for i, row in enumerate(rows):
         text = row.values[name]

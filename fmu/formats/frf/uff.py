@@ -1,4 +1,4 @@
-"""Reader of frequency response functions in universal files: dataset 58, "Function at Nodal DOF".
+"""Reader for frequency response functions in universal files: dataset 58, "Function at Nodal DOF".
 
 The datasets are read by pyuff: text or binary, even or uneven spacing, single or double precision (University of
 Cincinnati, *Universal File Formats for Modal Analysis Testing*). Function type 4 is an FRF, type 6 a coherence.
@@ -43,7 +43,7 @@ _SAME_LINES = 1e-5
 
 
 def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs in a universal file, in SI units and along global axes.
+    """Read the FRFs in a universal file, in SI units and along global axes.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
 
 
 class _Axes:
-    """The displacement axes of each node, in global directions."""
+    """Displacement axes of each node, expressed in global directions."""
 
     def __init__(self, sets: Sequence[Dataset], nodes: Mapping[int, Place]) -> None:
         self.nodes, self.notes = nodes, list[str]()
@@ -114,7 +114,7 @@ class _Axes:
         self._systems = Systems(definitions, known)
 
     def points(self, frfs: Sequence[Dataset], end: str, mistakes: list[str]) -> list[Dof]:
-        """Return the place and global direction of each FRF at one end: "rsp" (response) or "ref" (reference).
+        """Return the place and global direction of each FRF's response (`end` "rsp") or reference (`end` "ref").
 
         Errors are appended to `mistakes`.
         """
@@ -133,7 +133,7 @@ class _Axes:
         return found
 
     def _direction(self, node: int, number: int, where: str, mistakes: list[str]) -> str:
-        """Return the global direction of a local direction at a node, numbered from ±1 to ±6."""
+        """Convert a node's local direction, numbered from ±1 to ±6, to a global direction."""
         system = self._system.get(node, 0)
         about, k = divmod(abs(number) - 1, 3)
         try:
@@ -150,7 +150,7 @@ class _Axes:
 
 
 def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
-    """Return the number and the definition of each coordinate system in a dataset 18 or 2420."""
+    """Return the number and definition of each coordinate system in a type 18 or 2420 dataset."""
     found = []
     if one["type"] == SYSTEMS[0]:
         columns = (one[key] for key in ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point"))
@@ -169,7 +169,7 @@ def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return the errors in a dataset read by pyuff, which accepts any number of values."""
+    """Return error messages for a dataset with malformed content, which pyuff does not check."""
     if one["type"] in SYSTEMS:
         kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
         return (
@@ -196,7 +196,7 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
-    """Return the frequencies of the lines in Hz. Raise ModesError if they are not the same in all FRFs."""
+    """Return the frequency lines in Hz, shape (n_lines,). Raise ModesError unless all FRFs have the same lines."""
     lines = np.asarray(frfs[0]["x"], dtype=float)[: frfs[0]["num_pts"]]
     for k, one in enumerate(frfs, 1):
         x = np.asarray(one["x"], dtype=float)[: one["num_pts"]]
@@ -209,7 +209,7 @@ def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
 
 
 def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
-    """Return the common kind of all FRFs; None if the file does not specify it."""
+    """Return the kind that all FRFs share, or None if the file does not specify it."""
     found = set()
     for one in frfs:
         top, bottom = int(one["ordinate_spec_data_type"]), int(one["orddenom_spec_data_type"])
@@ -229,7 +229,7 @@ def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
 
 
 def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
-    """Return 1 m and 1 N in the file's units of length and force, and notes."""
+    """Return the values of 1 m and 1 N in the file's units, and notes on the units assumed."""
     factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
     if len(factors) > 1:
         raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
@@ -239,7 +239,7 @@ def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], li
 
 
 def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
-    """Return the values of an FRF in SI units, with rotations in rad and moments in N·m."""
+    """Convert an FRF's values to SI units, with rotations in rad and moments in N·m."""
     length, force = factor
     is_moment, is_rotation = (abs(int(one[f"{end}_dir"])) > 3 for end in ("ref", "rsp"))
     scale = force * length ** (int(is_moment) - int(not is_rotation))
@@ -248,7 +248,7 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
 
 
 def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
-    """Return the coherence of each FRF, shape (n_frfs, n_lines); None unless the file has it for all FRFs."""
+    """Return the coherence of each FRF, shape (n_frfs, n_lines), or None if any FRF lacks it."""
     ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
     of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
     rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]
@@ -257,7 +257,7 @@ def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: Flo
 
 
 def _labels(frfs: Sequence[Dataset]) -> list[str]:
-    """Return a note if the axis label gives accelerations in g."""
+    """Return a note if an axis label says that accelerations are in g."""
     labels = {str(one["ordinate_axis_units_lab"]).strip() for one in frfs}
     of_g = sorted(label for label in labels if label.lower().partition("/")[0].strip() in ("g", "gn", "g's"))
     if not of_g:

@@ -1,4 +1,4 @@
-"""Readers of stiffness and mass matrices from files of other programs.
+"""Readers for stiffness and mass matrices written by other programs.
 
 Reading order: read, limits; then one file per format.
 """

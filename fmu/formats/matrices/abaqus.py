@@ -1,4 +1,4 @@
-"""Reader of the global matrices and element matrices that Abaqus writes as text to ``.mtx`` files.
+"""Reader for the global matrices and element matrices that Abaqus writes as text to ``.mtx`` files.
 
 A separate step in the input deck::
 
@@ -50,14 +50,15 @@ HELD = 1e30
 
 
 def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | None]:
-    """Return the matrix in a file and, for ``MATRIX INPUT``, its degrees of freedom (node, direction).
+    """Read a global matrix and, for ``MATRIX INPUT``, the degrees of freedom of its rows.
 
     Returns
     -------
     matrix : scipy.sparse.csr_array, shape (n_dof, n_dof)
         Both triangles, even if ``MATRIX INPUT`` has only one entry of each pair; degrees of freedom in ascending
         order.
-    dofs : tuple or None
+    dofs : tuple of (node, direction), or None
+        None for ``COORDINATE``.
 
     Raises
     ------
@@ -104,7 +105,7 @@ _MOST_NODES = 100
 
 
 class _Element(NamedTuple):
-    """One matrix of an element: number, kind, degrees of freedom as 8 × node + direction, and lower triangle."""
+    """One element matrix: number, kind, degrees of freedom coded as 8 × node + direction, and lower triangle."""
 
     number: str
     kind: str
@@ -113,13 +114,13 @@ class _Element(NamedTuple):
 
 
 def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
-    """Return the sum of the element matrices in a file, with the names of its rows.
+    """Read and sum the element matrices in a file, with the names of the rows.
 
     Parameters
     ----------
     file : binary file
     variable : str, optional
-        ``"stiffness"`` or ``"mass"``, if the file has both.
+        ``"stiffness"`` or ``"mass"``; needed if the file has both.
 
     Raises
     ------
@@ -171,7 +172,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
 def _add_entries(
     total: sp.csr_array, places: list[IntArray], entries: list[FloatArray], size: int
 ) -> sp.csr_array:
-    """Return `total`, enlarged to `size` rows, plus the entries at the given rows and columns, each (2, n)."""
+    """Return `total` enlarged to `size` rows and columns, with `entries` added at the (row, column) `places`."""
     total.resize((size, size))
     if not entries:
         return total
@@ -180,7 +181,7 @@ def _add_entries(
 
 
 def _elements(lines: Iterable[str]) -> Iterator[_Element]:
-    """Yield the element matrices in a file one by one."""
+    """Yield each element matrix in a file."""
     nodes: list[int] = []
     of_node: dict[int, list[int]] = {}
     n_nodes, reading, kind, number, owner = 0, "", "", "", ""
@@ -224,7 +225,7 @@ def _elements(lines: Iterable[str]) -> Iterator[_Element]:
 
 
 def _codes(nodes: list[int], of_node: dict[int, list[int]], n_nodes: int) -> list[int]:
-    """Return the degrees of freedom of an element, node by node."""
+    """Return an element's degrees of freedom, node by node, coded as 8 × node + direction."""
     if not 1 <= n_nodes <= _MOST_NODES or len(nodes) != n_nodes:
         raise ValueError(f"an element must have the nodes that it names (got {len(nodes)} of {n_nodes})")
     codes: list[int] = []
@@ -246,14 +247,14 @@ def _whole(word: str) -> int:
 
 
 def _without_keywords(text: str) -> str:
-    """Return a text without its keyword lines, and with commas replaced by blanks."""
+    """Remove keyword lines from a text, and replace commas with blanks."""
     if "*" in text:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("*"))
     return text.replace(",", " ")
 
 
 def _places(names: FloatArray) -> IntArray:
-    """Return the row and column of each entry, shape (n, 2); names are encoded as 8 × node + degree of freedom."""
+    """Return the row and column of each entry, shape (n, 2), coded as 8 × node + degree of freedom."""
     if np.any(names != np.floor(names)) or np.any(names < 1) or np.any(names > LARGEST_NUMBER):
         raise ValueError(
             f"nodes, degrees of freedom, rows and columns must be whole numbers from 1 to {LARGEST_NUMBER}"

@@ -1,6 +1,6 @@
-"""Reader of stiffness and mass in Ansys ``.full`` files, using ansys-mapdl-reader in a separate process.
+"""Reader for stiffness and mass in Ansys ``.full`` files, using ansys-mapdl-reader in a separate process.
 
-A modal analysis leaves ``file.full`` behind (``WRFULL,1`` stops after writing it). Rows held by supports are
+A modal analysis leaves ``file.full`` behind (``WRFULL,1`` stops after writing it). Rows fixed by supports are
 empty. The library crashes the process on broken files, and so does mapdl-archive.
 """
 
@@ -30,7 +30,7 @@ NAMES = ("stiffness", "mass")
 
 
 def full_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays in a ``.full`` file by name; ansys-mapdl-reader must be installed.
+    """Read the arrays in a ``.full`` file, by name; ansys-mapdl-reader must be installed.
 
     Raises
     ------
@@ -65,12 +65,12 @@ def full_arrays(path: Path) -> dict[str, AnyArray]:
 
 @lru_cache(maxsize=1)
 def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
-    """Return the arrays in a file by name, cached because stiffness and mass are read one after the other."""
+    """Read the arrays in a file, by name. The result is cached because stiffness and mass are read in turn."""
     return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return the stiffness or the mass matrix, both triangles filled, with the names of its rows."""
+    """Read the stiffness or mass matrix, with both triangles filled and row names."""
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)
     name = choose_variable([name for name in NAMES if f"{name}_row" in found], variable)

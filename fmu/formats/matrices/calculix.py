@@ -1,4 +1,4 @@
-"""Reader of the CalculiX matrices ``job.sti`` and ``job.mas``, with the names of their rows from ``job.dof``.
+"""Reader for the CalculiX matrices ``job.sti`` and ``job.mas``, with row names from ``job.dof``.
 
 The step of the input deck must be::
 
@@ -43,7 +43,7 @@ _MOST_NODES = 100
 
 
 def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
-    """Return the matrix in a ``.sti`` or ``.mas`` file, with both triangles, shape (n_dof, n_dof).
+    """Read a ``.sti`` or ``.mas`` matrix, with both triangles, shape (n_dof, n_dof).
 
     Raises
     ------
@@ -78,7 +78,7 @@ def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
 
 
 def names(path: Path) -> list[tuple[int, str]]:
-    """Return the list of (node, direction), one per line of a ``.dof`` file; a name may occur several times.
+    """Read the row names (node, direction) from a ``.dof`` file, one per line; a name may occur several times.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 class _Expansion(NamedTuple):
-    """The expansion of shell and beam nodes into nodes of solids.
+    """How CalculiX expanded shell and beam nodes into solid nodes.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class _Expansion(NamedTuple):
 
 
 def _expansion(path: Path) -> _Expansion:
-    """Return the expanded nodes listed in ``job.12d``; an empty expansion if there is no such file."""
+    """Read the expanded nodes from ``job.12d``; the expansion is empty if there is no such file."""
     found = _Expansion({}, set())
     if why_no_file(path) or too_large(path, LARGEST_FILE):
         return found
@@ -151,16 +151,17 @@ def _expansion(path: Path) -> _Expansion:
 
 
 def _copies(is_shell: bool, k: int, n: int) -> int:
-    """Return the number of solid nodes into which CalculiX expands node k (from 0) of an element with n nodes."""
+    """Return how many solid nodes CalculiX creates for node k (from 0) of an n-node shell or beam element."""
     if is_shell:
         return 3 if n >= 6 and k < n // 2 else 2
     return 8 if n == 3 and k != 1 else 4
 
 
 def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tuple[int, str], ...], Motions]:
-    """Return distinct names for the rows, and the displacements of original nodes as means over several rows.
+    """Return distinct row names, and the displacements of expanded nodes as means over several rows.
 
-    If a support holds some copies of a node, the mean of the others is not the node's displacement; it is omitted.
+    If a support fixes some copies of a node, the other copies' mean is not the node's displacement, and is
+    omitted.
     """
     counts: dict[tuple[int, str], int] = {}
     for name in read:

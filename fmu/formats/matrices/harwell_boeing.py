@@ -1,4 +1,4 @@
-"""Reader of Harwell–Boeing files of sparse matrices, which Ansys writes with ``HBMAT`` in ``/AUX2``.
+"""Reader for sparse matrices in Harwell–Boeing files, which Ansys writes with ``HBMAT`` in ``/AUX2``.
 
 I. S. Duff, R. G. Grimes, J. G. Lewis (1992), *User's guide for the Harwell–Boeing sparse matrix collection*. SciPy
 reads only unsymmetric matrices, and no right-hand sides.
@@ -23,7 +23,7 @@ LONGEST_LINE = 4096
 
 
 def parse(file: BinaryIO) -> sp.csc_array:
-    """Return the real assembled matrix in a file; right-hand sides are skipped.
+    """Read a real assembled matrix; right-hand sides are skipped.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def _lines(file: BinaryIO, count: int) -> Iterator[str]:
 
 
 def _count(line: str, at: int) -> int:
-    """Return the number in the 14 columns of a header line from column `at` on."""
+    """Return the integer in the 14-character field of a header line that begins at column `at`."""
     word = line[at : at + 14].strip()
     if not word.isdecimal():
         raise ValueError(f"its header must have counts (got {word!r})")
@@ -81,10 +81,10 @@ def _count(line: str, at: int) -> int:
 
 
 def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> FloatArray:
-    """Return the numbers on lines of fixed-width columns, such as ``(10I8)`` or ``(1P,3D26.18)``.
+    """Read numbers from fixed-width columns in a Fortran format, such as ``(10I8)`` or ``(1P,3D26.18)``.
 
-    If blanks separate the expected number of words, the widths are ignored: SciPy writes wider columns than
-    stated.
+    If blanks separate the expected number of words, the widths are ignored, because SciPy writes wider columns
+    than the format states.
     """
     if n_lines > expected:
         raise ValueError(f"it announces {n_lines} lines for {expected} numbers")

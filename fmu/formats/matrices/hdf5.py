@@ -1,4 +1,4 @@
-"""Reader of matrices in HDF5 files, such as the files of MATLAB 7.3.
+"""Reader for matrices in HDF5 files, including MATLAB 7.3 files.
 
 A matrix is a two-dimensional dataset, or a group with the arrays of a sparse matrix: ``data``, ``indices``,
 ``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
@@ -44,13 +44,13 @@ _FORMAT = ("format", "encoding-type", "h5sparse_format")
 
 
 def read(path: Path, variable: str | None) -> Labelled:
-    """Return a matrix in an HDF5 file.
+    """Read a matrix from an HDF5 file.
 
     Parameters
     ----------
     path : Path
     variable : str, optional
-        Path of the matrix in the file; not needed if the file has only one matrix.
+        Path to the matrix inside the file; not needed if the file has only one matrix.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def read(path: Path, variable: str | None) -> Labelled:
 
 
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
-    """Yield the path and object of each group and dataset, without links and the parts of sparse matrices."""
+    """Yield the path and object of each group and dataset, but no links and no components of sparse matrices."""
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):
         if not ahead:
@@ -100,7 +100,7 @@ def _is_group(member: _Member) -> bool:
 
 
 def _is_inside(group: h5py.Group, name: str) -> bool:
-    """Return True if a member is stored in the file itself, and is not a soft or external link."""
+    """Return True if a member is stored in the file itself rather than behind a soft or external link."""
     import h5py
 
     return isinstance(group.get(name, getlink=True), h5py.HardLink)
@@ -126,16 +126,19 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 
 
 def _part(group: h5py.Group, name: str) -> AnyArray:
-    """Return one array of a sparse matrix. Raise RefusedError for a group, or for a soft or external link."""
+    """Return one component array of a sparse matrix.
+
+    Raises RefusedError if it is a group, or a soft or external link.
+    """
     if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
     return _numbers(group[name])
 
 
 def _numbers(dataset: h5py.Dataset) -> AnyArray:
-    """Return the array in a dataset, after checking that it is numeric, stored in this file and not too large.
+    """Read a dataset after checking that it is numeric, stored in this file and not too large.
 
-    A dataset may be stored in other files, and its chunks, each read as a whole, may be larger than the dataset.
+    The check covers chunks too: each is read as a whole, and may be larger than the dataset.
     """
     if dataset.dtype.kind not in "fiubc":
         raise RefusedError(f"must have numbers in {dataset.name} (got {dataset.dtype})")
@@ -167,7 +170,7 @@ def _sparse(group: h5py.Group) -> sp.sparray:
 
 
 def _sizes(given: ArrayLike, n: int) -> tuple[int, ...]:
-    """Return `n` sizes, such as the numbers of rows and columns, as ints from 1 to `MOST_DOFS`."""
+    """Return `n` sizes, such as the row and column counts, as ints between 1 and `MOST_DOFS`."""
     sizes = np.ravel(given)
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
         raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {quote(sizes.tolist())})")

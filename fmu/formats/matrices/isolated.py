@@ -1,4 +1,4 @@
-"""Calls of library readers that crash on broken files, each made in a separate process."""
+"""Runs third-party readers in a separate process, because some of them crash on broken files."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _TOLD = 3
 
 
 def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, AnyArray]:
-    """Return the dict of arrays that ``reader(path)`` returns in a separate process.
+    """Call ``reader(path)`` in a separate process, and return its dict of arrays.
 
     Parameters
     ----------
     reader : str
-        Name of the reader, ``"module:function"``.
+        The reader function, as ``"module:function"``.
     path : Path
     library : str
         The module that the reader imports.
     extra : str
-        The extra of fmu that installs the library.
+        The fmu extra that installs the library.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str
 
 
 def main() -> None:
-    """Call the reader named on the command line, and save its arrays."""
+    """Call the reader function given on the command line, and save the arrays that it returns."""
     name, path, out = sys.argv[1:]
     warnings.simplefilter("ignore")
     try:

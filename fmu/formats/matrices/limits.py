@@ -1,4 +1,4 @@
-"""Interface of a matrix format, limits on file sizes, and readers of numbers in text within these limits."""
+"""Interface of matrix formats, file size limits, and text parsers that respect these limits."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Motions = Mapping[DofName, Mapping[DofName, float]]
 
 
 class Labelled(NamedTuple):
-    """A matrix, and the degrees of freedom (node, direction) of its rows if the file names them.
+    """A matrix, with the (node, direction) names of its rows if the file gives them.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Labelled(NamedTuple):
     notes : tuple of str
         One sentence for each triangle that was filled in.
     in_input_order : bool
-        Whether rows without names are in the order in which the deck defines the nodes, as in MYSTRAN.
+        Whether unnamed rows follow the order in which the deck defines the nodes, as in MYSTRAN.
     is_whole : bool
         Whether the matrix is known to include neither supports nor constraints, like a sum of element matrices.
     """
@@ -67,12 +67,12 @@ class Labelled(NamedTuple):
 
 @dataclass(frozen=True)
 class MatrixFormat:
-    """A file format for matrices.
+    """Reader for one matrix file format.
 
     Attributes
     ----------
     suffixes : tuple of str
-        Suffixes of the file names, in lower case.
+        File name suffixes, in lower case.
     read : callable
         ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise any exception;
         the text of a `RefusedError` is shown unchanged.
@@ -89,12 +89,12 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """Raised for a readable file that lacks the required content or contains too much.
+    """Raised when a readable file lacks the required content or exceeds a size limit.
 
     Attributes
     ----------
     record : ArgumentError
-        Its key is ``variable`` if the name of the matrix is at fault, and empty otherwise.
+        Its key is ``variable`` if the matrix name is at fault; otherwise it is empty.
     """
 
     def __init__(self, rule: str, key: str = "") -> None:
@@ -103,16 +103,16 @@ class RefusedError(Exception):
 
 
 class NoMatrixError(RefusedError):
-    """Raised for a readable file without a matrix."""
+    """Raised when a readable file contains no matrix."""
 
 
 class SeveralError(RefusedError):
-    """Raised for a file with several matrices if no name was given.
+    """Raised when a file contains several matrices and the user named none.
 
     Attributes
     ----------
     names : tuple of str
-        Names of the matrices.
+        Names of the matrices in the file.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -121,7 +121,15 @@ class SeveralError(RefusedError):
 
 
 def choose_variable(names: Sequence[str], variable: str | None) -> str:
-    """Return the name of the matrix to read. Raise an error unless `variable` or the file determines it."""
+    """Return the name of the matrix to read: `variable`, or the only name in the file if it is None.
+
+    Raises
+    ------
+    NoMatrixError, SeveralError
+        If the file has no matrix, or has several and `variable` is None.
+    RefusedError
+        If the file has no matrix named `variable`.
+    """
     if not names:
         raise NoMatrixError("must hold a matrix (it holds none)")
     if variable is None and len(names) > 1:
@@ -132,7 +140,7 @@ def choose_variable(names: Sequence[str], variable: str | None) -> str:
 
 
 def fitting(n_bytes: int) -> None:
-    """Raise RefusedError if there are more than `LARGEST_CONTENT` bytes, counted after decompression."""
+    """Raise RefusedError if the content, `n_bytes` after decompression, exceeds `LARGEST_CONTENT`."""
     if n_bytes > LARGEST_CONTENT:
         raise RefusedError(f"must hold at most {LARGEST_CONTENT} bytes (got {n_bytes})")
 
@@ -150,7 +158,7 @@ def rows_within(n_rows: int) -> None:
 
 
 def check_indices(matrix: sp.sparray) -> None:
-    """Raise ValueError if an index of a compressed sparse matrix is out of range.
+    """Raise ValueError if a compressed sparse matrix has an index out of range.
 
     SciPy's full check misses wrong index pointers if the last pointer is zero or a difference overflows.
     """
@@ -162,7 +170,7 @@ def check_indices(matrix: sp.sparray) -> None:
 
 
 def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
-    """Return the symmetric csr_array of a matrix that stores only one entry of each symmetric pair.
+    """Fill in the other triangle of a symmetric matrix that stores only one entry of each symmetric pair.
 
     Raises
     ------
@@ -176,10 +184,10 @@ def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
 
 
 def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = None) -> Labelled:
-    """Return the sparse matrix given by a table (n, 3) of row, column (both counted from 1) and entry.
+    """Build a sparse matrix from a table (n, 3) with columns row, column (both counted from 1) and entry.
 
-    Entries with the same row and column are added, as in MATLAB's ``sparse``. If only one triangle has entries,
-    the matrix is treated as symmetric (`Labelled.fill`).
+    Duplicate entries are added, as in MATLAB's ``sparse``. If only one triangle has entries, the matrix is treated
+    as symmetric (`Labelled.fill`).
 
     Raises
     ------
@@ -199,7 +207,7 @@ def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = N
 
 
 def text_blocks(file: BinaryIO) -> Iterator[str]:
-    """Yield the text of a file in blocks that end at a line end; memory use is limited to a few blocks.
+    """Yield a file's text in blocks of whole lines, so that memory use stays limited.
 
     Raises
     ------
@@ -220,7 +228,7 @@ def text_blocks(file: BinaryIO) -> Iterator[str]:
 
 
 def text_lines(file: BinaryIO) -> Iterator[str]:
-    """Yield the lines of a text file without line-end characters; see `text_blocks`."""
+    """Yield the lines of a text file without their line-end characters; see `text_blocks`."""
     for text in text_blocks(file):
         yield from (line.rstrip("\r") for line in text.removesuffix("\n").split("\n"))
 
@@ -231,7 +239,7 @@ def tables(
     delimiter: str | None = None,
     cleaned: Callable[[str], str] = str,
 ) -> Iterator[FloatArray]:
-    """Yield arrays (n, columns) of consecutive rows of numbers in a text; empty lines are skipped.
+    """Parse numeric text, and yield arrays (n_rows, n_columns) of consecutive rows. Empty lines are skipped.
 
     Parameters
     ----------
@@ -240,9 +248,9 @@ def tables(
     comments : str or None
         The character that begins a comment.
     delimiter : str, optional
-        Separator between numbers; blanks if not given.
+        Separator between numbers. Defaults to blanks.
     cleaned : callable, optional
-        A function applied to each block of text before it is parsed.
+        Function that is applied to each block of text before it is parsed.
 
     Raises
     ------

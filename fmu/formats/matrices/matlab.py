@@ -1,4 +1,4 @@
-"""Reader of full and sparse numeric matrices in MATLAB files of versions 5 to 7 (version 7.3 is HDF5).
+"""Reader for full and sparse numeric matrices in MATLAB files of versions 5 to 7 (version 7.3 is HDF5).
 
 MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files. This reader reads
 only numeric matrices, and raises an error if a file is cut short.
@@ -42,7 +42,7 @@ _HEAD = 4096
 
 
 class _Variable(NamedTuple):
-    """The header of a matrix and the position of its bytes; `field` is the index of its part in a struct."""
+    """A matrix header, and where the matrix is stored; `field` is its index among the parts of a struct."""
 
     kind: int
     shape: tuple[int, ...]
@@ -53,9 +53,9 @@ class _Variable(NamedTuple):
 
 
 def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
-    """Return a matrix in a MATLAB file, with the names of its rows if the file has them.
+    """Read a matrix from a MATLAB file, with its row names if the file has them.
 
-    A matrix in a struct is named ``model.K``. The names of its rows are a matrix ``dofs`` in the same struct or
+    A matrix in a struct is named ``model.K``. Row names are stored in a matrix ``dofs`` in the same struct or
     file, one row per degree of freedom: the node id, and a number from 1 to 6 for x, y, z, rx, ry, rz.
 
     Parameters
@@ -98,7 +98,7 @@ def _is_names(name: str) -> bool:
 
 
 def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
-    """Return the names (node, direction) of rows from a table (n, 2) of node ids and direction numbers."""
+    """Convert a table (n, 2) of node ids and direction numbers to row names (node, direction)."""
     rows = sp.coo_array(table).toarray()
     is_whole = np.all(rows == np.floor(rows)) and np.all(rows >= 1) and np.all(rows < 2**31)
     if not is_whole or rows[:, 1].max(initial=1) > len(DIRECTIONS):
@@ -107,7 +107,7 @@ def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
 
 
 def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
-    """Return a matrix in a file as an ndarray or a csc_array."""
+    """Read a matrix as an ndarray or a csc_array."""
     if one.kind & _COMPLEX:
         raise RefusedError("must hold a real matrix (it is complex)")
     rows, columns = one.shape
@@ -131,7 +131,7 @@ def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
 
 
 def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, _Variable]]:
-    """Yield the name and the header of every numeric matrix."""
+    """Yield the name and header of every numeric matrix in a file, including those in structs."""
     at = 128
     for _ in range(MOST_NAMES):
         file.seek(at)
@@ -166,7 +166,7 @@ def _is_matrix(kind: int, shape: list[int]) -> bool:
 
 
 def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[str, _Variable]]:
-    """Yield the name and the header of every numeric matrix in a struct."""
+    """Yield the name and header of every numeric matrix in a struct."""
     parts = _parts(body, order)
     length, names = (part for _, part in islice(parts, 3, _FIELDS))
     width = int(np.frombuffer(length, f"{order}i4")[0])
@@ -198,7 +198,7 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
 
 
 def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Yield the type and the bytes of each part of a matrix; with `cut`, a truncated last part is skipped."""
+    """Yield the type and bytes of each part of a matrix. With `cut`, skip a truncated last part."""
     at = 0
     while at + 8 <= len(body):
         kind, size = np.frombuffer(body, f"{order}u4", 2, at).tolist()

@@ -1,4 +1,4 @@
-"""Reader of matrices in MATLAB and Octave code, ``.m``; the code is never executed.
+"""Reader for matrices in MATLAB and Octave code, ``.m``; the code is never executed.
 
 Three statements are recognised: ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);``, in which
 the last two arguments are optional, and ``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and
@@ -44,7 +44,7 @@ _SIZE = re.compile(r"\s*(?:,\s*(\d{1,9})\s*,\s*(\d{1,9})\s*)?\)")
 
 
 class _Place(NamedTuple):
-    """The function that builds a matrix, the position of its numbers in the text, and the words for its size."""
+    """Where a matrix is defined in the text: the function, the position of its numbers, and the size as text."""
 
     function: str
     at: int
@@ -52,7 +52,7 @@ class _Place(NamedTuple):
 
 
 def _places(text: str) -> tuple[dict[str, _Place], set[str]]:
-    """Return a dict from matrix name to `_Place`, and the names of the tables used to build sparse matrices."""
+    """Return the `_Place` of each matrix by name, and the names of tables that sparse matrices are built from."""
     places: dict[str, _Place] = {}
     tables: set[str] = set()
     at = 0
@@ -85,7 +85,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _matrix(text: str, name: str, place: _Place) -> Labelled:
-    """Return the matrix whose numbers begin at the position in `place`."""
+    """Parse the matrix whose numbers begin at the position in `place`."""
     table, at = _table(text, name, place.at)
     if not place.function:
         entries_within(table.size)
@@ -110,7 +110,7 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
 
 
 def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
-    """Return the numbers of rows and columns, literal or assigned to a variable; None if given otherwise."""
+    """Return the numbers of rows and columns if they are literals or variables set to literals; otherwise None."""
     found = []
     for word in words or ():
         number = re.fullmatch(r"\d{1,9}", word) or re.search(rf"(?<![\w.]){word}\s*=\s*(\d{{1,9}})\s*[;,\n]", text)
@@ -121,7 +121,7 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
 
 
 def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
-    """Return the two-dimensional array of numbers up to the closing bracket, and the position after it."""
+    """Parse the two-dimensional array up to the closing bracket; return it and the position after the bracket."""
     end = text.find("]", at)
     if end < 0:
         raise ValueError(f"{name} is cut short")

@@ -1,4 +1,4 @@
-"""Reader of Matrix Market files, a text format that most programs can write.
+"""Reader for Matrix Market files, a text format that most programs can write.
 
 R. F. Boisvert, R. Pozo, K. A. Remington (1996), *The Matrix Market exchange formats: initial design*, NISTIR 5935.
 SciPy's reader crashes the process on some broken files; this reader raises an error.
@@ -35,7 +35,7 @@ _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return the matrix in a Matrix Market file, or in a text file with suffix ``.mtx`` written by Abaqus."""
+    """Read a ``.mtx`` file, which is a Matrix Market file or text written by Abaqus."""
     is_compressed = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_compressed else open(path, "rb") as file:
         start = file.read(LONGEST_LINE)
@@ -52,14 +52,14 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
-    """Return the real matrix in a Matrix Market file, with both triangles.
+    """Read a real matrix from a Matrix Market file, with both triangles.
 
     Parameters
     ----------
     file : binary file
         Positioned at its beginning.
     n_bytes : int, optional
-        Size of the file; the number of entries in the header is checked against it before the entries are read.
+        File size. If given, the entry count in the header is checked against it before the entries are read.
 
     Returns
     -------
@@ -70,8 +70,7 @@ def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
     ValueError
         If the header or a row of numbers is malformed, or an index is out of range.
     RefusedError
-        If the matrix is not real, has no values or is too large, or does not have the number of entries in the
-        header.
+        If the matrix is not real, has no values, is too large, or does not have the entry count in the header.
     """
     layout, field, symmetry = _banner(_line(file))
     if field == "pattern":
@@ -102,7 +101,7 @@ def _line(file: BinaryIO) -> str:
 
 
 def _banner(line: str) -> list[str]:
-    """Return the layout, field and symmetry in the banner, in lower case."""
+    """Return the layout, field and symmetry given in the banner, in lower case."""
     words = line.lower().split()
     if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
         raise ValueError(f"unknown kind {line.strip()[:100]!r}")
@@ -110,7 +109,7 @@ def _banner(line: str) -> list[str]:
 
 
 def _sizes(file: BinaryIO, layout: str) -> list[int]:
-    """Return the numbers of rows and columns and, in the coordinate layout, of entries."""
+    """Return the row and column counts and, for the coordinate layout, the entry count."""
     for _ in range(MOST_COMMENTS):
         line = _line(file)
         if line.strip() and not line.startswith("%"):
@@ -124,7 +123,7 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
 
 
 def _count_stored(rows: int, columns: int, sign: float) -> int:
-    """Return the number of values in the array layout, which stores one triangle of a symmetric matrix."""
+    """Return how many values the array layout stores: one triangle for a symmetric matrix, otherwise all."""
     if not sign:
         return rows * columns
     if rows != columns:
@@ -133,7 +132,7 @@ def _count_stored(rows: int, columns: int, sign: float) -> int:
 
 
 def _numbers(file: BinaryIO, announced: int, columns: int) -> FloatArray:
-    """Return the table of numbers in a file, shape (announced, columns)."""
+    """Read the table of numbers in a file, shape (announced, columns)."""
     found = np.empty((announced, columns))
     n = 0
     for rows in tables(file, "%"):
@@ -161,7 +160,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 
 
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
-    """Return a full matrix from its values in column order; for a symmetric matrix, from its lower triangle."""
+    """Build a full matrix from values in column order; a symmetric matrix has only its lower triangle stored."""
     if not sign:
         return values.reshape((rows, columns), order="F")
     matrix = np.zeros((rows, columns))

@@ -1,4 +1,4 @@
-"""Readers of matrices saved by NumPy and SciPy, ``.npz`` and ``.npy``, and of comma-separated text, ``.csv``.
+"""Readers for matrices saved by NumPy and SciPy (``.npz``, ``.npy``) or as comma-separated text (``.csv``).
 
 Nothing is unpickled, and sizes in the headers are checked before the numbers are read.
 """
@@ -27,7 +27,7 @@ from fmu.types import FloatArray
 
 
 def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays in an ``.npz`` file by name, after checking their number and size.
+    """Return the shape of each array in an ``.npz`` file, after checking how many arrays there are and how large.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
 
 
 def shape_in_header(file: IO[bytes]) -> tuple[int, ...]:
-    """Return the shape of a saved array, from its header alone.
+    """Return the shape of a saved array, reading only its header.
 
     Raises
     ------
@@ -97,9 +97,9 @@ def _npy(path: Path, variable: str | None) -> Labelled:
 
 
 def _csv(path: Path, variable: str | None) -> Labelled:
-    """Return a full matrix, or a table (n, 3) of row, column and entry.
+    """Read comma-separated numbers: a full matrix, or a table (n, 3) of row, column and entry.
 
-    Raises RefusedError if it has too many rows.
+    Raises RefusedError if there are too many rows.
     """
     found: list[FloatArray] = []
     n = 0

@@ -150,13 +150,18 @@ def read_labelled(
 
 
 def symmetric_matrix(matrix: Matrix, triangle: Triangle = False) -> sp.csr_array:
-    """Return a symmetric real matrix as a csr_array of float. Raise ValueError if it is not real and symmetric.
+    """Check that a matrix is real and symmetric, and return it as a csr_array of float.
 
     Parameters
     ----------
     matrix : ndarray or sparse array
     triangle : bool or {"lower", "upper"}
         See `read_labelled`.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not real and symmetric.
     """
     return _symmetric(_real_square(matrix), triangle)
 
@@ -167,7 +172,7 @@ def _suffix(path: Path) -> str:
 
 
 def _is_triplets(matrix: Matrix) -> bool:
-    """Return True if an array is a table (n, 3) of the row, column and value of each entry of a sparse matrix."""
+    """Return True if an array is a table (n, 3) with one row, column and value per entry of a sparse matrix."""
     if sp.issparse(matrix) or matrix.ndim != 2 or matrix.shape[1] != 3 or len(matrix) < 4:
         return False
     places = matrix[:, :2]
@@ -218,7 +223,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice if a matrix has entries in only one triangle; otherwise an empty string."""
+    """Return advice for the user if a matrix has entries in only one triangle; otherwise an empty string."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""
@@ -227,7 +232,7 @@ def _triangle_alone(matrix: sp.csr_array) -> str:
 
 
 def _off_diagonal(matrix: sp.csr_array) -> tuple[int, int]:
-    """Return the numbers of entries above and below the diagonal."""
+    """Count the entries above and below the diagonal."""
     row = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
     return int(np.sum(matrix.indices > row)), int(np.sum(matrix.indices < row))
 

@@ -1,4 +1,4 @@
-"""Readers of models from other programs: matrices with named degrees of freedom, nodes and elements.
+"""Readers for models from other programs: matrices with named degrees of freedom, nodes and elements.
 
 Reading order: exported, read, assembly, edges; then one file per mesh format (bulk with coordinate_systems).
 The matrices are read by `fmu.formats.matrices`.

@@ -1,4 +1,4 @@
-"""Readers of nodes and elements from Ansys: archives written by ``CDWRITE``, ``.cdb``, and results, ``.rst``.
+"""Readers for nodes and elements in Ansys archives (``.cdb``, written by ``CDWRITE``) and result files (``.rst``).
 
 mapdl-archive and ansys-mapdl-reader read them in a separate process, because both libraries crash on broken files.
 """
@@ -39,7 +39,7 @@ _KINDS = {
 
 
 class _Grid(Protocol):
-    """The interface of a PyVista grid."""
+    """The part of a PyVista grid's interface that fmu uses."""
 
     point_data: Mapping[str, AnyArray]
     points: AnyArray
@@ -48,14 +48,14 @@ class _Grid(Protocol):
 
 
 def cdb_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of the grid in an archive by name; mapdl-archive must be installed."""
+    """Return the grid arrays in an archive, by name; mapdl-archive must be installed."""
     from mapdl_archive import Archive
 
     return _arrays(Archive(str(path)).grid)
 
 
 def rst_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of the grid in a result file by name; ansys-mapdl-reader must be installed."""
+    """Return the grid arrays in a result file, by name; ansys-mapdl-reader must be installed."""
     from ansys.mapdl import reader
 
     return _arrays(reader.read_binary(str(path)).grid)
@@ -74,7 +74,10 @@ def _arrays(grid: _Grid) -> dict[str, AnyArray]:
 
 
 def node_axes(angles: FloatArray) -> FloatArray:
-    """Return the axes (rows) of a node rotated by THXY, THYZ, THZX in degrees about z, x', y'' (``NROTAT``)."""
+    """Return a node's axes as rows, shape (3, 3), from its rotation angles THXY, THYZ, THZX in degrees.
+
+    The rotations are about z, then x', then y'' (Ansys, ``NROTAT``).
+    """
     (cz, cx, cy), (sz, sx, sy) = np.cos(np.radians(angles)), np.sin(np.radians(angles))
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])

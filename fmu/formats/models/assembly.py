@@ -18,13 +18,13 @@ from fmu.types import DIRECTIONS, FloatArray
 
 
 class Assembled[Node](NamedTuple):
-    """Matrices on common degrees of freedom.
+    """Several matrices on the same degrees of freedom.
 
     Attributes
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node, direction)
-        Names of the rows, in ascending order if the nodes are numbers.
+        Row names, in ascending order if the nodes are numbers.
     motions : mapping
         See `fmu.formats.models.exported.ExportedModel`.
     notes : list of str
@@ -40,7 +40,7 @@ class Assembled[Node](NamedTuple):
 def assemble(
     read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH
 ) -> Assembled[int]:
-    """Return matrices on common degrees of freedom, without rows that are held or empty.
+    """Assemble matrices on their common degrees of freedom, leaving out fixed and empty rows.
 
     Parameters
     ----------
@@ -105,12 +105,15 @@ def assemble(
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:
-    """Return the list of distinct notes on matrices, such as on triangles that were filled in."""
+    """Collect the notes on all matrices without duplicates, such as notes on triangles that were filled in."""
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 
 def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -> tuple[DofName, ...]:
-    """Return the names of the rows of a matrix; add any assumption made, with its set, to `assumed`."""
+    """Return a matrix's row names, taken from the mesh set of the same size if the file gives none.
+
+    This assumption is added to `assumed` as a note, with the name of the set.
+    """
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
         raise ArgumentError(where, f"must name {n} degrees of freedom", len(one.dofs))
@@ -144,7 +147,7 @@ def _show_names(names: Sequence[DofName]) -> str:
 
 
 def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
-    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix at rows[i], and zeros in all others."""
+    """Expand a matrix to shape (n_dof, n_dof): its row and column i move to rows[i], and the rest is zero."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 
@@ -152,7 +155,10 @@ def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array
 def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
 ) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
-    """Return T of u = T u_global (None without rotation), weighted sums for rows that keep axes, and notes."""
+    """Return the rotation matrix T in u = T u_global, the motions of rows that are not rotated, and notes.
+
+    T is None if no node can be rotated.
+    """
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}
     motions: dict[DofName, dict[DofName, float]] = {}

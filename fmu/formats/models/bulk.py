@@ -1,10 +1,10 @@
-"""Reader of nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
+"""Reader for nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
 Matrices are along the axes of each node's output coordinate system, CD. OP4 files do not name their rows. The rows
 of the g-set are the nodes in ascending order (in MYSTRAN, in the order of the deck) with six components each, and
 scalar points with one component. This module knows three smaller sets. The n-set is the g-set without components
 that constraints make dependent (`fmu.formats.constraints.nastran`). The f-set is the n-set without components that
-GRID, SPC and SPC1 hold. The a-set is defined by ASET entries.
+GRID, SPC and SPC1 fix. The a-set is defined by ASET entries.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _SET = ("ASET", "ASET1", "SPC", "SPC1")
 
 @dataclass(eq=False)
 class _Deck:
-    """The entries of a deck."""
+    """Entries collected from a deck."""
 
     grids: dict[int, tuple[int, FloatArray]] = field(default_factory=dict)
     outputs: dict[int, int] = field(default_factory=dict)
@@ -106,7 +106,7 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
 
 
 def _is_ascending(sequence: str) -> bool:
-    """Return True if MYSTRAN sorts its rows by node id (PARAM,GRIDSEQ,GRID), and False for INPUT.
+    """Return True if MYSTRAN sorts its rows by node id (PARAM,GRIDSEQ,GRID), or False for INPUT.
 
     Raises RefusedError for BANDIT.
     """
@@ -145,7 +145,7 @@ def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) 
 
 
 def _members(deck: _Deck, name: str, fields: list[str]) -> None:
-    """Add the components in an entry to the retained components (ASET) or to those held by a set (SPC)."""
+    """Add an ASET entry's components to the a-set, or an SPC entry's components to the fixed DOFs of its set."""
     skipped = 0 if name.startswith("ASET") else 1
     into = deck.held.setdefault(identity(fields[0], f"{name}: its set"), {}) if skipped else deck.kept
     if name.endswith("1"):
@@ -209,7 +209,7 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
 
 
 def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:
-    """Return the degrees of freedom that GRID (or GRDSET, `permanent`) and the active SPC sets hold."""
+    """Return the degrees of freedom fixed by GRID (or GRDSET, given by `permanent`) and by the active SPC sets."""
     held = {node: deck.permanent.get(node, permanent) for node in deck.grids}
     for one in deck.constraints.sets("SPC", sorted(deck.held)):
         for node, which in deck.held.get(one, {}).items():

@@ -1,4 +1,4 @@
-"""Matrices with the constraints of a mesh applied, and the motions of the dependent degrees of freedom.
+"""Applies a mesh's constraints to matrices, and expresses the motions of dependent degrees of freedom.
 
 Some programs write K and M for all degrees of freedom, others Tᵀ K T and Tᵀ M T for the independent ones. The rows
 show which: if a dependent degree of freedom has a nonzero row, T has yet to be applied.
@@ -23,14 +23,14 @@ _TRIPLES = (DIRECTIONS[:3], DIRECTIONS[3:])
 
 
 class Constrained(NamedTuple):
-    """Matrices on the degrees of freedom that no constraint of the mesh makes dependent.
+    """Matrices on the independent degrees of freedom of a constrained mesh.
 
     Attributes
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node id, direction)
     transformation : Transformation, optional
-        T of u = T q; None without constraints.
+        T in u = T q, or None without constraints.
     notes : list of str
     """
 
@@ -43,7 +43,7 @@ class Constrained(NamedTuple):
 def constrain(
     matrices: Sequence[sp.csr_array], dofs: Sequence[DofName], mesh: Mesh, means: Motions, *, is_whole: bool
 ) -> Constrained:
-    """Return the matrices without dependent and held degrees of freedom, and T.
+    """Remove dependent and fixed degrees of freedom from matrices; return the result with T in u = T q.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _of_supports(count: int) -> str:
 
 
 def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofName]) -> None:
-    """Raise RefusedError if the constraints lead to matrices with too many entries."""
+    """Raise RefusedError if applying the constraints would give matrices with too many entries."""
     counts = dict(zip(T.dofs, np.diff(T.T.indptr).tolist(), strict=True))
     largest: dict[str, int] = {}
     for one in equations:
@@ -115,7 +115,7 @@ def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofN
 def motions_of(
     T: Transformation, dofs: Sequence[DofName], turn: sp.csr_array | None, axes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the motions along global axes of the nodes with dependent degrees of freedom, and notes.
+    """Return the motions of nodes with dependent degrees of freedom along global axes, and notes.
 
     Parameters
     ----------
@@ -123,9 +123,9 @@ def motions_of(
     dofs : sequence of (node id, direction)
         Rows of the final matrices; the other columns of T have no row.
     turn : csr_array, shape (n_dof, n_dof), optional
-        u = turn u_final, where the rows of nodes were rotated to global axes.
+        Rotation matrix in u = turn u_final, if any rows were rotated to global axes.
     axes : mapping of int to ndarray, shape (3, 3)
-        Unit vectors (rows) in the directions of each node's own degrees of freedom.
+        Unit vectors (rows) along each node's own degrees of freedom.
     """
     index = {name: i for i, name in enumerate(dofs)}
     known = [(j, index[name]) for j, name in enumerate(T.independent) if name in index]

@@ -1,4 +1,4 @@
-"""Coordinate systems of Nastran: positions and axes in rectangular, cylindrical and spherical systems.
+"""Nastran coordinate systems: positions and axes in rectangular, cylindrical and spherical systems.
 
 MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on the z
 axis, the third in the xz plane. Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from the z
@@ -24,18 +24,18 @@ DEEPEST = 200
 
 @dataclass(frozen=True, eq=False)
 class Definition:
-    """A coordinate system defined by three points.
+    """Coordinate system defined by three points.
 
     Attributes
     ----------
     kind : {"R", "C", "S"}
         Rectangular, cylindrical or spherical.
     points : ndarray, shape (3, 3), optional
-        Coordinates of the points (rows) in the system `reference`.
+        Coordinates of the points (rows) in the reference system.
     reference : int
         Number of the reference system; 0 is the basic system.
     nodes : tuple of int
-        Ids of the nodes at the points, if `points` is None.
+        Ids of the nodes that define the points, if `points` is None.
     """
 
     kind: Kind
@@ -46,7 +46,7 @@ class Definition:
 
 @dataclass(eq=False)
 class Systems:
-    """The coordinate systems and nodes of a deck, converted to global axes on request.
+    """Coordinate systems and nodes of a deck, converted to global axes on request.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Systems:
     _places: dict[int, FloatArray] = field(default_factory=dict)
 
     def place(self, node: int, depth: int = 0) -> FloatArray:
-        """Return the position of a node in global coordinates, shape (3,)."""
+        """Return a node's position in global coordinates, shape (3,)."""
         if node not in self._places:
             if node not in self.given:
                 raise RefusedError(f"must have the node {node}, a point of a coordinate system (it has not)")
@@ -70,7 +70,7 @@ class Systems:
         return self._places[node]
 
     def axes(self, system: int, node: int) -> FloatArray:
-        """Return the unit vectors (rows) of a system at a node, in global coordinates, shape (3, 3)."""
+        """Return a system's unit vectors at a node, as rows in global coordinates, shape (3, 3)."""
         if system == 0:
             return np.eye(3)
         origin, own = self._frame(system, 0)
@@ -90,7 +90,7 @@ class Systems:
         return np.asarray(tilted @ about_z @ own)
 
     def _from(self, system: int, coordinates: FloatArray, depth: int) -> FloatArray:
-        """Return the position in global coordinates, shape (3,), of a point with coordinates in a system."""
+        """Convert a point's coordinates in a system to global coordinates, shape (3,)."""
         if system == 0:
             return np.asarray(coordinates, dtype=float)
         origin, own = self._frame(system, depth + 1)
@@ -107,7 +107,7 @@ class Systems:
         return np.asarray(origin + local @ own)
 
     def _frame(self, system: int, depth: int) -> tuple[FloatArray, FloatArray]:
-        """Return the origin (3,) and the unit vectors (rows of (3, 3)) of a system, in global coordinates."""
+        """Return a system's origin (3,) and unit vectors (rows of a (3, 3) array) in global coordinates."""
         if system in self._frames:
             return self._frames[system]
         if system not in self.definitions:

@@ -1,4 +1,4 @@
-"""Lines for drawing a mesh, from line elements and edges of faces, and the nodes inside solids."""
+"""Lines for plotting a mesh, taken from line elements and face edges, and the nodes inside solids."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ SOLID_EDGES = {
 
 
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
-    """Return the row indices in `mesh.nodes` of both ends of each distinct line to draw, shape (n_lines, 2).
+    """Return the lines to plot, each as the row indices of its two ends in `mesh.nodes`, shape (n_lines, 2).
 
-    Midside nodes are skipped. For solids, only the surfaces are drawn.
+    Midside nodes are skipped. For solids, only the surfaces are plotted.
     """
     lines, faces = _lines_and_faces(mesh)
     drawn = [lines, _of_faces(faces, mesh.coordinates)]
@@ -61,7 +61,7 @@ def inside(mesh: Mesh | ExportedModel) -> IntArray:
 
 
 def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
-    """Return the row indices of the ends of line elements (n, 2), and of the corners of surface faces (m, 4)."""
+    """Return the row indices of line element ends, shape (n, 2), and of surface face corners, shape (m, 4)."""
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     lines: list[tuple[int, int]] = []
     skin: list[tuple[int, ...]] = []
@@ -86,7 +86,10 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return all edges of faces (n, 2) or, if there are many, those that show the shape; see `MOST_EDGES`."""
+    """Return the edges of all faces, shape (n, 2); if there are many, only those that outline the shape.
+
+    See `MOST_EDGES`.
+    """
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

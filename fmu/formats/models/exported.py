@@ -1,4 +1,4 @@
-"""A model as another program exported it, its mesh, and the interface of a mesh format."""
+"""Models and meshes as exported by another program, and the interface of mesh formats."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ MOST_ELEMENTS = 2**20
 
 
 class Mesh(NamedTuple):
-    """The nodes and elements of a model.
+    """Nodes and elements of a model.
 
     Attributes
     ----------
     nodes : ndarray of int, shape (n_nodes,)
-        Ids of the nodes, in ascending order.
+        Node ids, in ascending order.
     coordinates : ndarray, shape (n_nodes, 3)
         Along global axes, in the file's unit of length.
     elements : tuple of tuple of int
-        Ids of each element's nodes: corners in order, midside nodes may follow.
+        Node ids of each element: corners in order, then any midside nodes.
     kinds : tuple of str
         Element kinds by meshio's names: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
     notes : tuple of str
         One sentence for each omission.
     axes : mapping of int to ndarray, shape (3, 3)
-        Unit vectors (rows) in the directions of a node's degrees of freedom, if these are not along global axes.
+        Unit vectors (rows) along a node's degrees of freedom, if these are not along global axes.
     sets : mapping of str to tuple of (node, direction)
-        Possible rows of matrices without names, by the program's name of the set, such as ``"g"``.
+        Possible rows of matrices without names, by the program's name for the set, such as ``"g"``.
     order : tuple of int
-        Ids of the nodes in the order of the input, for matrices whose rows may be in that order.
+        Node ids in input order, for matrices whose rows may be in that order.
     equations : tuple of Equation
         Constraints between degrees of freedom, along the axes of each node.
     held : frozenset of (node, direction)
-        Degrees of freedom that supports hold, along the axes of each node.
+        Degrees of freedom that supports fix, along the axes of each node.
     """
 
     nodes: IntArray
@@ -70,7 +70,7 @@ def mesh_of(
     axes: Mapping[int, FloatArray] | None = None,
     sets: Mapping[str, tuple[DofName, ...]] | None = None,
 ) -> Mesh:
-    """Return a mesh with its nodes in ascending order of their ids, after checking it.
+    """Check nodes and elements, and return them as a mesh with node ids in ascending order.
 
     Raises
     ------
@@ -97,9 +97,9 @@ def mesh_of(
 
 @dataclass(frozen=True, eq=False)
 class ExportedModel:
-    """The matrices of a structure, exported by another program, with the names of their degrees of freedom.
+    """Stiffness and mass matrices exported by another program, with named degrees of freedom.
 
-    An example with a stiffness factor as the parameter, sensors at node ids, and pictures::
+    An example with a stiffness factor as the parameter, sensors at node ids, and plots::
 
         read = fmu.read_model("job.sti", mesh="job.inp")
         model = fmu.SeparableModel.from_terms(
@@ -113,10 +113,10 @@ class ExportedModel:
     dofs : tuple of (node id, direction)
         One per row; a direction is ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` or ``"rz"``, along global axes.
     nodes : ndarray of int, shape (n_nodes,)
-        Ids of the mesh's nodes; empty if the mesh is not known.
+        Node ids in the mesh; empty if the mesh is not known.
     coordinates : ndarray, shape (n_nodes, 3)
     elements : tuple of tuple of int
-        Ids of each element's nodes: corners in order, midside nodes may follow.
+        Node ids of each element: corners in order, then any midside nodes.
     kinds : tuple of str
         Element kinds by meshio's names: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``,
         ``"hexahedron20"`` …
@@ -141,12 +141,12 @@ class ExportedModel:
 
 @dataclass(frozen=True)
 class MeshFormat:
-    """A file format for nodes and elements.
+    """Reader for one mesh file format.
 
     Attributes
     ----------
     suffixes : tuple of str
-        Suffixes of the file names, in lower case.
+        File name suffixes, in lower case.
     read : callable
         ``read(path)`` returns a `Mesh`. A broken file may raise any exception; the text of a `RefusedError` is
         shown unchanged.

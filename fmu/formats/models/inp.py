@@ -1,6 +1,7 @@
-"""Reader of the nodes and elements in input decks of Abaqus and CalculiX, ``.inp``.
+"""Reader for nodes and elements in Abaqus and CalculiX input decks, ``.inp``.
 
-meshio's reader of these files follows ``*INCLUDE`` to any path, has no size limits, and knows fewer element types.
+meshio's reader for these files follows ``*INCLUDE`` to any path, has no size limits, and knows fewer element
+types.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ LONGEST_KEYWORD = 10_000
 
 
 def parse(lines: Iterator[str]) -> Mesh:
-    """Return the mesh given by the lines of a deck.
+    """Parse a deck's lines into a mesh.
 
     Raises
     ------
@@ -144,7 +145,7 @@ TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes
 
 
 def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
-    """Return the nodes of face S1, S2 … of a solid element, midside nodes included; empty if it has none."""
+    """Return the node ids on face S1, S2 … of a solid, including midside nodes; empty if there is no such face."""
     shape = kind.rstrip("0123456789")
     at = int(name[1:]) - 1 if re.fullmatch("S[1-6]", name) else 6
     if at >= len(_FACES_OF.get(shape, ())):
@@ -156,7 +157,7 @@ def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
 
 
 def kind_of(name: str) -> tuple[str, int]:
-    """Return meshio's name and the number of nodes of an element type; an empty name and 0 if it is unknown."""
+    """Return meshio's name and the node count for an element type, or ("", 0) if the type is unknown."""
     for pattern, kinds in _TYPES:
         found = re.match(pattern, name)
         if found is None:
@@ -171,7 +172,7 @@ def kind_of(name: str) -> tuple[str, int]:
 
 
 def _keyword(line: str) -> tuple[str, dict[str, str]]:
-    """Return a keyword and the dict of its options, in upper case and without blanks."""
+    """Return the keyword on a line and its options, in upper case and without blanks."""
     word, *options = line[1:].upper().replace(" ", "").replace("\t", "").split(",")
     pairs = (option.partition("=") for option in options if option)
     return word, {key: value for key, _, value in pairs}

@@ -1,4 +1,4 @@
-"""Reader of models from files of other programs: matrices, names of their degrees of freedom, and the mesh.
+"""Reader for models in files from other programs: matrices, names of their degrees of freedom, and the mesh.
 
 ==============  ===========================================================  =======================
 program         stiffness and mass                                           mesh
@@ -11,7 +11,7 @@ MATLAB          K and M in a ``.mat`` or ``.m`` file, or in two files
 any other       two files of `fmu.formats.matrices.read`, names of rows
 ==============  ===========================================================  =======================
 
-A separate file with names of rows has lines ``node,direction``, with a direction x, y, z, rx, ry, rz or 1 to 6.
+A separate file with row names has lines ``node,direction``, with a direction x, y, z, rx, ry, rz or 1 to 6.
 Units are those of the program; fmu assumes SI units.
 """
 
@@ -54,21 +54,21 @@ def read_model(
     variables: tuple[str, str] | None = None,
     tied_modes: str | Path | None = None,
 ) -> ExportedModel:
-    """Read the stiffness, mass, names of degrees of freedom and mesh of a model exported by another program.
+    """Read a model exported by another program: stiffness, mass, names of the degrees of freedom, and mesh.
 
     Parameters
     ----------
     path : path
         File with the stiffness, or with both matrices.
     mass : path, optional
-        File with the mass, if it is not in `path`. By default the file that the program writes next to the
+        File with the mass, if it is not in `path`. Defaults to the file that the program writes next to the
         stiffness: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
     mesh : path or Mesh, optional
         Nodes and elements. Needed for Nastran's OP4, to name the rows, and for matrices along the nodes' own axes.
     dofs : path, optional
-        File with the names of the rows, one ``node,direction`` per line, if the matrices have no names.
+        File with the row names, one ``node,direction`` per line, if the matrices have no names.
     variables : tuple of str, optional
-        Names of the stiffness and mass matrices in files with several matrices. By default ``K…`` and ``M…`` with
+        Names of the stiffness and mass matrices in files with several matrices. Defaults to ``K…`` and ``M…`` with
         the same ending, or ``stiffness`` and ``mass``.
     tied_modes : path, optional
         ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U). They give the
@@ -78,7 +78,7 @@ def read_model(
     Returns
     -------
     ExportedModel
-        The model along global axes, without rows that have no stiffness and mass or that Abaqus marks as held.
+        The model along global axes, without rows that have no stiffness and mass or that Abaqus marks as fixed.
 
     Raises
     ------
@@ -123,7 +123,9 @@ def read_model(
 def read_ties(
     path: Path, mesh: Mesh, dofs: Collection[DofName]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return displacements of tied nodes, and notes, from the modes that CalculiX printed; see `tied_motions`.
+    """Derive tied nodes' displacements from the modes that CalculiX printed; return them with notes.
+
+    See `tied_motions`.
 
     Raises
     ------
@@ -143,8 +145,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Parameters
     ----------
     path : path
-        ``.inp`` of CalculiX and Abaqus, ``.cdb`` and ``.rst`` of Ansys, or ``.bdf``, ``.dat``, ``.nas`` of
-        Nastran.
+        ``.inp`` (CalculiX, Abaqus), ``.cdb`` or ``.rst`` (Ansys), or ``.bdf``, ``.dat`` or ``.nas`` (Nastran).
 
     Returns
     -------
@@ -181,7 +182,7 @@ def _mesh_of(path: Path) -> Mesh:
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
-    """Read the names of rows, one ``node,direction`` per line; blanks may replace commas; a title line is skipped.
+    """Read row names, one ``node,direction`` per line. Blanks may replace commas, and a title line is skipped.
 
     Raises
     ------
@@ -210,7 +211,7 @@ def read_names(path: Path) -> tuple[DofName, ...]:
 def require_nodes(
     dofs: Sequence[DofName], motions: Collection[DofName], mesh: Mesh, files: Collection[Path] = ()
 ) -> None:
-    """Raise ValueError if a mesh shares no node with the matrices, or has *TRANSFORM with Abaqus matrices."""
+    """Raise ValueError if the mesh shares no node with the matrices, or uses *TRANSFORM with Abaqus matrices."""
     if TRANSFORMED in mesh.notes and any(file.suffix.lower() == ".mtx" for file in files):
         raise ArgumentError("mesh", "must have no *TRANSFORM: Abaqus writes matrices along the axes that it turns")
     known = set(mesh.nodes.tolist())
@@ -222,7 +223,7 @@ def require_nodes(
 
 
 def _both(path: Path) -> tuple[str, str]:
-    """Return the names of the stiffness and mass matrices in a file that contains several matrices."""
+    """Return the names of the stiffness and mass matrices in a file with several matrices."""
     try:
         read_labelled(path)
     except ValueError as error:
@@ -242,9 +243,9 @@ def _both(path: Path) -> tuple[str, str]:
 
 
 def read_beside(path: Path) -> list[Path]:
-    """Return the files that are read together with a file without being named in the problem file.
+    """Return the files that are read along with `path`, although the problem file does not name them.
 
-    These are the mass and the names of the rows, or the files that a Nastran deck includes.
+    These are the mass matrix and the row names, or the files that a Nastran deck includes.
     """
     if path.suffix.lower() in INCLUDING:
         try:
@@ -257,7 +258,7 @@ def read_beside(path: Path) -> list[Path]:
 
 
 def _is_pair(K: str, M: str) -> bool:
-    """Return True if two names belong together, such as ``K`` and ``M``, or ``model.Kaa`` and ``model.Maa``."""
+    """Return True if two matrix names belong together: ``K`` and ``M``, or ``model.Kaa`` and ``model.Maa``."""
     rest = [re.split(r"[./]", name) for name in (K, M)]
     if rest[0][:-1] != rest[1][:-1]:
         return False
@@ -268,7 +269,7 @@ def _is_pair(K: str, M: str) -> bool:
 
 
 def _mass_beside(path: Path) -> Path | None:
-    """Return the mass file that a program writes next to the stiffness file; None if one file contains both."""
+    """Return the mass file that a program writes next to the stiffness file, or None if one file contains both."""
     if path.suffix.lower() == ".sti":
         return path.with_suffix(".mas")
     if path.suffix.lower() == ".mtx" and "_STIF" in path.name:
@@ -285,7 +286,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Return the result of `read`; re-raise its ValueError as an error of the argument."""
+    """Call `read`, and re-raise any ValueError as an error in the given argument."""
     try:
         return read()
     except ValueError as error:

@@ -27,7 +27,7 @@ _STEPS = 30
 
 
 class _Face(NamedTuple):
-    """An element face: the mesh row indices of its corners and of its midside nodes, if any, in the same order."""
+    """An element face: mesh row indices of its corners, and of its midside nodes, if any, in the same order."""
 
     corners: list[int]
     midsides: list[int]
@@ -40,16 +40,16 @@ class _Face(NamedTuple):
 def tied_motions(
     mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the displacements of tied nodes as weighted sums of degrees of freedom.
+    """Express the displacements of tied nodes as weighted sums of degrees of freedom.
 
     Parameters
     ----------
     mesh : Mesh
         Mesh of the whole model.
     dofs : collection of (node id, direction)
-        The rows of the matrices.
+        Row names of the matrices.
     modes : mapping of int to ndarray, shape (n_modes, 3)
-        Printed displacements along global axes by node id, of the tied nodes and of the faces they are tied to.
+        Printed displacements along global axes by node id, for tied nodes and the faces that they are tied to.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def tied_motions(
 
 
 def _faces(mesh: Mesh, row_of: Mapping[int, int]) -> Iterator[_Face]:
-    """Yield the faces of all elements, with their midside nodes."""
+    """Yield all element faces, with their midside nodes."""
     for kind, element in zip(mesh.kinds, mesh.elements, strict=True):
         base = kind.rstrip("0123456789")
         around = FACES.get(base, ())
@@ -115,7 +115,10 @@ def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def _weights(
     node: int, row: int, faces: list[_Face], mesh: Mesh, modes: Mapping[int, FloatArray], largest: FloatArray
 ) -> dict[int, float] | None:
-    """Return the node weights of the nearest face that reproduces a node's printed displacements, or None."""
+    """Return the nodal weights on the nearest face that reproduces a node's printed displacements.
+
+    Returns None if no nearby face does.
+    """
     found: list[tuple[float, dict[int, float]]] = []
     for face in faces:
         ids = mesh.nodes[face.rows].tolist()
@@ -130,7 +133,7 @@ def _weights(
 
 
 def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> FloatArray:
-    """Return the shape functions (n,) at the point of a face closest to `point` (3,), by Gauss–Newton steps."""
+    """Return the shape functions (n,) at the point on a face closest to `point` (3,), using Gauss–Newton steps."""
     at = np.full(2, 1.0 / 3.0) if n_corners == 3 else np.zeros(2)
     for _ in range(_STEPS):
         N, dN = _shape_functions(at, len(corners), n_corners)
@@ -143,7 +146,7 @@ def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> Float
 
 
 def _inside(at: FloatArray, n_corners: int) -> FloatArray:
-    """Return the point of the reference triangle or square that is nearest to a point."""
+    """Return the point in the reference triangle or square nearest to `at`."""
     if n_corners == 4:
         return np.clip(at, -1.0, 1.0)
     beyond = max(float(np.maximum(at, 0.0).sum()) - 1.0, 0.0)
@@ -151,7 +154,7 @@ def _inside(at: FloatArray, n_corners: int) -> FloatArray:
 
 
 def _shape_functions(at: FloatArray, n: int, n_corners: int) -> tuple[FloatArray, FloatArray]:
-    """Return shape functions (n,) and their derivatives (2, n) of a face of 3, 4, 6 or 8 nodes.
+    """Return the shape functions (n,) of a face with 3, 4, 6 or 8 nodes, and their derivatives (2, n).
 
     Corners come first, then midside nodes; the serendipity functions are from Zienkiewicz & Taylor, chapter 8.
     """

@@ -1,4 +1,4 @@
-"""Readers of modes: measured modes from CSV, UFF and pyOMA, computed modes from Nastran's F06 and from CalculiX.
+"""Readers for measured modes (CSV, UFF, pyOMA) and computed modes (Nastran F06, CalculiX).
 
 Reading order: measured_modes; then one file per format.
 """

@@ -1,4 +1,4 @@
-"""Reader of modes that CalculiX printed at sensors; `fmu.formats.calculix_dat` describes the required deck."""
+"""Reader for modes that CalculiX prints at sensors; `fmu.formats.calculix_dat` describes the required deck."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fmu.formats.shown import quote
 
 
 def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
-    """Return the modes that CalculiX printed at sensors, from another model or a simulated test.
+    """Read the modes that CalculiX printed at sensors, computed with another model or to simulate a test.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
 
 
 def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = None) -> Computed:
-    """Return the frequencies (n,) in Hz, and the shapes at sensors (n_sensors, n), or None without sensors.
+    """Read all computed frequencies in Hz, shape (n,), and mode shapes at the sensors, shape (n_sensors, n).
 
     Parameters
     ----------
     path : Path
         ``job.dat``. If there are several steps, the last one is read.
     sensors : sequence of (node id, direction)
-        Directions are x, y and z, or -x, -y and -z. Without sensors there are no shapes.
+        Directions are x, y and z, or -x, -y and -z. Without sensors, None is returned in place of the shapes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Readers of modes and points from text tables, as written by spreadsheets.
+"""Readers for modes and points in text tables, as exported from spreadsheets.
 
 Frequencies in Hz, one row per mode; ``number`` (in the spectrum of the model), ``sd`` in Hz and ``use`` (true or
 false: whether the mode is used in updating) may be omitted::
@@ -13,22 +13,21 @@ Shapes, one row per sensor and one column per mode::
     tip,z,1.0,1.0
     12,-z,0.34,-0.71
 
-Frequencies in Hz of repeated tests in chronological order, one row per test and one column per mode. The column
+Frequencies in Hz from repeated tests in chronological order, one row per test and one column per mode. The column
 ``test``, a number or a time, may be omitted. A cell is empty or ``nan`` if the test missed the mode::
 
     test,first bending,second bending
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
-Frequencies in Hz of the tests of a campaign, one row per test: its name, its group (may be omitted), and one
-column per mode and per covariate, such as the temperature. A cell is empty or ``nan`` if the test missed the
-mode::
+Frequencies in Hz from a campaign, one row per test: its name, its group (may be omitted), and one column per mode
+and per covariate, such as the temperature. A cell is empty or ``nan`` if the test missed the mode::
 
     name,group,temperature,first bending,second bending
     2024-03-04,before,4.5,31.9,197.9
     2024-07-12,after,21.0,31.8,
 
-Coordinates of the points of a test, one row per point, in any unit of length::
+Coordinates of measurement points, one row per point, in any unit of length::
 
     point,x,y,z
     tip,2.0,0.0,0.1
@@ -62,25 +61,25 @@ _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
 class Row(NamedTuple):
-    """A row of a table: its line number in the file, counted from 1, and its values by column."""
+    """A table row: its line number in the file, counted from 1, and its values by column name."""
 
     line: int
     values: dict[str, str]
 
 
 class Campaign(NamedTuple):
-    """The tests in the table of a campaign.
+    """Tests in a campaign table.
 
     Attributes
     ----------
     names, groups : tuple of str
-        The name and the group of each test. A group is empty if the table has no column of groups.
+        Name and group of each test. The group is empty if the table has no group column.
     covariates : tuple of dict of str to float
-        The values of the covariates in each test.
+        Covariate values in each test.
     frequencies_hz : ndarray, shape (n_tests, n_modes)
         NaN where a test missed a mode.
     lines : tuple of int
-        The line number of each test in the file, counted from 1.
+        Line number of each test in the file, counted from 1.
     """
 
     names: tuple[str, ...]
@@ -91,7 +90,7 @@ class Campaign(NamedTuple):
 
 
 def read_frequencies(path: Path) -> MeasuredModes:
-    """Return the modes in a table of frequencies, without shapes.
+    """Read a table of measured frequencies, without mode shapes.
 
     Raises
     ------
@@ -125,7 +124,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
 
 
 def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
-    """Return the sensors and shapes in a table, with the modes in the order of `labels` and NaN frequencies.
+    """Read a table of mode shapes, with the modes in the order of `labels` and NaN as frequencies.
 
     Raises
     ------
@@ -158,7 +157,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
 
 
 def read_points(path: Path) -> dict[str, FloatArray]:
-    """Return a dict from point name to coordinates, shape (3,), from a table of points.
+    """Read a table of points, and return the coordinates of each point by name, shape (3,).
 
     Raises
     ------
@@ -184,7 +183,9 @@ def read_points(path: Path) -> dict[str, FloatArray]:
 
 
 def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the frequencies of repeated tests (n_tests, n_modes) in Hz, NaN for a missed mode, and the labels.
+    """Read the frequencies from repeated tests in Hz, shape (n_tests, n_modes), and the mode labels.
+
+    A frequency is NaN if the test missed the mode.
 
     Raises
     ------
@@ -207,15 +208,15 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str] | None = None) -> Campaign:
-    """Return the tests in the table of a campaign.
+    """Read a table of tests from a campaign.
 
     Parameters
     ----------
     path : Path
     labels : sequence of str
-        The names of the columns with frequencies, in the order of the modes.
+        Names of the frequency columns, in mode order.
     covariates : collection of str, optional
-        The columns with covariates that the table may have. By default every other column is a covariate.
+        Covariate columns that the table may have. By default every other column is a covariate.
 
     Raises
     ------
@@ -259,7 +260,7 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
 
 
 def _frequencies(rows: Sequence[Row], labels: Sequence[str], found: list[str]) -> FloatArray:
-    """Return the frequencies in the columns `labels`, NaN for modes that were missed."""
+    """Return the frequencies in the columns `labels`, shape (n_rows, n_labels), with NaN for missed modes."""
     values = [
         [
             np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
@@ -271,7 +272,7 @@ def _frequencies(rows: Sequence[Row], labels: Sequence[str], found: list[str]) -
 
 
 def read_table(path: Path, most_rows: int = MOST_ROWS) -> tuple[list[str], list[Row]]:
-    """Return the list of column names and the list of rows of a table.
+    """Read the column names and rows of a text table.
 
     Raises
     ------
@@ -318,13 +319,13 @@ def read_table(path: Path, most_rows: int = MOST_ROWS) -> tuple[list[str], list[
 
 
 def refuse(path: Path, found: list[str]) -> None:
-    """Raise ModesError if errors were found."""
+    """Raise ModesError if there are any error messages in `found`."""
     if found:
         raise ModesError(path.name, found)
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Return the list of values in a line. Raise ValueError if the line is malformed."""
+    """Split a line into values. Raise ValueError if the line is malformed."""
     if line.count(separator) > MOST_MODES + 1:
         raise ValueError(f"must have at most {MOST_MODES + 2} columns (got {line.count(separator) + 1})")
     try:
@@ -339,7 +340,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _number(row: Row, column: str, found: list[str], *, positive: bool = False, advice: str = "") -> float:
-    """Return the number in a column of a row; if it is invalid, append an error to `found` and return NaN."""
+    """Return the number in a row's column. If it is invalid, append an error to `found` and return NaN."""
     text = row.values[column]
     try:
         value = float(text)

@@ -1,4 +1,4 @@
-"""Reader of real eigenvectors printed by Nastran and MYSTRAN, ``.f06``, from another model or a simulated test.
+"""Reader for real eigenvectors printed by Nastran and MYSTRAN, ``.f06``, from another model or a simulated test.
 
 OP2 files are not read. The components printed by Nastran are along the axes of each node's output coordinate
 system, which the bulk data define.
@@ -50,7 +50,7 @@ def read_f06(
     deck: Path | None = None,
     modes: Sequence[ModeNumber] | None = None,
 ) -> MeasuredModes:
-    """Return the real eigenvectors at sensors from an F06 file of Nastran.
+    """Read real eigenvectors at the sensors from a Nastran F06 file.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def read_f06(
     Returns
     -------
     MeasuredModes
-        Labels are the numbers of the modes.
+        The labels are the mode numbers.
 
     Raises
     ------
@@ -79,9 +79,9 @@ def read_f06(
 
 
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
-    """Return all modes of an F06 file; see `fmu.formats.modes.measured_modes.ModesFormat`.
+    """Read all modes in an F06 file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    If the deck is bulk data, the axes of the nodes are read from it.
+    Node axes are read from the deck if it is bulk data.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 
@@ -123,7 +123,7 @@ def _read_printed(
 
 @dataclass
 class _Found:
-    """The content of a file: frequencies in Hz and nodal components (6,) by mode, and the first fatal message."""
+    """Frequencies in Hz by mode, nodal components (6,) by mode and node, and the first fatal message in a file."""
 
     frequencies: dict[int, float] = field(default_factory=dict)
     shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
@@ -173,7 +173,7 @@ def _number(word: str) -> float:
 def _at(
     shape: dict[int, FloatArray], sensor: tuple[object, str], axes: Mapping[int, FloatArray], name: str
 ) -> float:
-    """Return the component of a shape at the location and in the direction of a sensor."""
+    """Return a mode shape's component at a sensor. Raise ModesError if the file lacks the sensor's node."""
     place, direction = sensor
     sign, along = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
     node = int(str(place)) if str(place).isdecimal() else -1

@@ -1,4 +1,4 @@
-"""Measured modes, the interface of a mode format, and the conversion of complex mode shapes to real shapes."""
+"""Measured modes, the interface of mode formats, and the conversion of complex mode shapes to real shapes."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
 
 
 def is_node(place: Hashable) -> bool:
-    """Return True if a place is a node id."""
+    """Return True if a place is a node id rather than a name."""
     return isinstance(place, int | np.integer)
 
 
 class ModesError(ValueError):
-    """Raised if no modes or frequency response functions can be read from a file or result.
+    """Raised when modes or frequency response functions cannot be read from a file or result.
 
     Attributes
     ----------
     mistakes : tuple of str
-        All errors that were found, each with its position in the file.
+        All errors found, each with its position in the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[str]) -> None:
@@ -54,19 +54,19 @@ class ModesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Measured frequencies, with shapes and standard deviations if known: arguments of `fmu.ModalData`.
+    """Measured frequencies and, if known, mode shapes and standard deviations; arguments of `fmu.ModalData`.
 
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_modes,)
     labels : tuple of str
-        Names of the modes in the file.
+        Mode names in the file.
     sd_hz : ndarray, shape (n_modes,), optional
     sensors : tuple of (place, direction)
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Real; see `real_shapes`.
     numbers : tuple of int
-        Numbers of the modes in the spectrum of the model, if they are given.
+        Mode numbers in the spectrum of the model, if given.
     use : tuple of bool
         Whether each mode is used in updating, if given.
     mpc : ndarray, shape (n_modes,), optional
@@ -92,7 +92,7 @@ Computed = tuple[FloatArray, FloatArray | None]
 
 @dataclass(frozen=True)
 class ModesFormat:
-    """A file format for modes.
+    """Reader for one file format with modes.
 
     Attributes
     ----------
@@ -101,12 +101,12 @@ class ModesFormat:
     result : str
         Name of the file that a program writes, such as ``{job}.f06``, with ``{job}`` for the name of its deck.
     computed : callable
-        ``computed(path, sensors, deck)`` returns all modes that a program wrote; see `Computed`; `deck` is the
+        ``computed(path, sensors, deck)`` returns all modes that a program wrote (see `Computed`); `deck` is the
         program's input file.
     directions : tuple of str
-        Directions of sensors that are possible in such a file.
+        Sensor directions that the file format can contain.
     has_numbers : bool
-        Whether places of sensors must be node ids.
+        Whether sensor places must be node ids.
     """
 
     read: Callable[..., MeasuredModes]
@@ -119,7 +119,7 @@ class ModesFormat:
 def modes_chosen(
     name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
 ) -> MeasuredModes:
-    """Return the computed modes with the numbers in `modes`; all modes by default.
+    """Select the computed modes with the given numbers; all modes if `modes` is None.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def phase_collinearity(shapes: ArrayLike) -> FloatArray:
 
 
 def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatArray, FloatArray]:
-    """Return complex shapes rotated to their largest real parts, as real shapes, and their phase collinearity.
+    """Convert complex mode shapes to real shapes, by rotating each to its largest real part.
 
     Parameters
     ----------
@@ -167,6 +167,7 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     real : ndarray, shape (n_sensors, n_modes)
         Re(φ e^{−iα/2}) with α the phase of φᵀφ, for which the discarded imaginary part is smallest.
     mpc : ndarray, shape (n_modes,)
+        Modal phase collinearity.
 
     Raises
     ------
@@ -190,7 +191,7 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
 
 
 def checked_file(path: Path, most: int | None = None) -> Path:
-    """Return the path of a file, after checking that the file can be read and has at most `most` bytes.
+    """Check that a file can be read and has at most `most` bytes, and return its path.
 
     `most` defaults to `LARGEST_FILE`.
 

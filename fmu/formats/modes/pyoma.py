@@ -1,4 +1,4 @@
-"""Reader of modes that pyOMA_2 identified from ambient vibrations.
+"""Reader for modes that pyOMA_2 identified from ambient vibrations.
 
 pyOMA_2 is not needed to read its results, which are recognised by their attributes: ``Fn`` (n_modes,) in Hz and
 ``Phi`` (n_channels, n_modes), complex. Subspace identification with ``calc_unc=True`` adds ``Fn_std`` (n_modes,)
@@ -50,7 +50,7 @@ def pyoma_modes(
     modes: Sequence[int] | None = None,
     least_mpc: float = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes in a pyOMA_2 result.
+    """Convert a pyOMA_2 result to measured modes.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def pyoma_modes(
     sensors : sequence of (place, direction)
         Sensor of each channel, in order; a minus sign before the direction reverses the sign of a channel.
     modes : sequence of int, optional
-        Numbers of the modes in the result, counted from 1; all if not given.
+        Mode numbers in the result, counted from 1; all by default.
     least_mpc : float
         Smallest phase collinearity of complex shapes; see `fmu.formats.modes.measured_modes.real_shapes`.
 
@@ -126,10 +126,11 @@ def pyoma_modes(
 
 
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
-    """Return standard deviations of shapes of unit length (n_sensors, n_modes); None if there is only one sensor.
+    """Return standard deviations for shapes scaled to unit length, shape (n_sensors, n_modes).
 
-    The component that scales a shape has no standard deviation. It is given `FIXED` times the smallest standard
-    deviation of the other components, which changes the variance of any ratio by at most a fraction `FIXED`².
+    Returns None if there is only one sensor. The component that scales a shape has no standard deviation. It is
+    given `FIXED` times the other components' smallest standard deviation, which changes the variance of any ratio
+    by at most a fraction `FIXED`².
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")
@@ -149,7 +150,7 @@ def read_pyoma(
     modes: Sequence[ModeNumber] | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes in a pyOMA_2 result that `save_pyoma` wrote; its channels are the ``sensors``.
+    """Read the modes in a pyOMA_2 result that `save_pyoma` wrote; its channels are the ``sensors``.
 
     Parameters
     ----------
@@ -166,14 +167,14 @@ def read_pyoma(
 
 
 def save_pyoma(path: Path, result: object) -> None:
-    """Write the parts of a result that `pyoma_modes` needs to an ``.npz`` file, for use in a problem file."""
+    """Write the attributes that `pyoma_modes` needs to an ``.npz`` file, for use in a problem file."""
     arrays: dict[str, Any] = {name: np.asarray(part) for name, part in _parts(result).items() if part is not None}
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
 
 def load_pyoma(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays that `save_pyoma` wrote, by name; nothing is unpickled.
+    """Read the arrays that `save_pyoma` wrote, by name. Nothing is unpickled.
 
     Raises
     ------
@@ -212,7 +213,7 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
 
 
 def _parts(result: object) -> dict[str, ArrayLike | None]:
-    """Return the attributes of a result that are used, by name; None for a missing or meaningless attribute."""
+    """Return the result attributes that fmu uses, by name; a missing or meaningless attribute is None."""
     given = {name: _attribute(result, name) for name in _KEPT}
     if _attribute(result, "setups_used") is not None:
         given["Fn_std"] = given["Phi_std"] = None
@@ -225,7 +226,7 @@ def _attribute(result: object, name: str) -> ArrayLike | None:
 
 
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Return all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Read all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_pyoma(path, sensors=sensors)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 

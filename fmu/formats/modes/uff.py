@@ -1,6 +1,6 @@
-"""Reader and writer of mode shapes and points in universal files, based on pyuff.
+"""Reader and writer for mode shapes and points in universal files, based on pyuff.
 
-Shapes are in dataset 55, "Data at Nodes"; coordinates of nodes in dataset 15 or 2411, elements in dataset 2412.
+Shapes are in dataset 55, "Data at Nodes"; node coordinates are in dataset 15 or 2411, elements in dataset 2412.
 
 The format is that of the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
 Formats for Modal Analysis Testing*). Its numbers have six significant digits, so frequencies and shapes are
@@ -64,16 +64,15 @@ def read_uff(
     sensors: Sensors | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes in a universal file.
+    """Read the modes in a universal file.
 
     Parameters
     ----------
     file : Path
     nodes : mapping of node number to place, optional
-        The place in the model of each node of the file; other nodes are skipped. By default the place of a node is
-        its number.
+        Model location of each node in the file; other nodes are skipped. By default a node's place is its number.
     modes : sequence of int, optional
-        Numbers of the modes to use from the file, in this order; by default all, in the order of the file.
+        Numbers of the modes to use, in this order; by default all, in file order.
     sensors : sequence of (place, direction), optional
         Places and measured directions, which may have a minus sign. The default is every place and direction with
         a nonzero component in at least one mode: the format fills directions that were not measured with zeros.
@@ -84,8 +83,8 @@ def read_uff(
     Returns
     -------
     MeasuredModes
-        Labels are the numbers of the modes in the file. The frequency of a complex mode with eigenvalue s is
-        |s|/2π. Shapes are along global axes, as the format specifies.
+        The labels are the mode numbers in the file. The frequency of a complex mode with eigenvalue s is |s|/2π.
+        Shapes are along global axes, as the format specifies.
 
     Raises
     ------
@@ -147,12 +146,12 @@ def write_uff(
     shapes : array_like, shape (n_sensors, n_modes)
     sensors : sequence of (place, direction)
     numbers : sequence of int
-        Numbers of the modes.
+        Mode numbers.
     nodes : mapping of node number to place, optional
         As in `read_uff`; needed if a place is not a number.
     places : mapping of place to array_like, shape (3,), optional
         Coordinates in m, written as dataset 2411.
-    elements : sequence of (CellType, node numbers of its corners), optional
+    elements : sequence of (CellType, corner node numbers), optional
         Written as dataset 2412; see `fmu.formats.modes.vtu.cells`.
 
     Raises
@@ -193,7 +192,7 @@ def _mesh(
     elements: Sequence[tuple[CellType, tuple[int, ...]]],
     number_of: Mapping[Hashable, int],
 ) -> list[_Written]:
-    """Return the datasets of nodes and elements."""
+    """Return the node and element datasets."""
     sets: list[_Written] = []
     if places:
         x, y, z = np.array([np.asarray(place, dtype=float) for place in places.values()]).T
@@ -212,7 +211,7 @@ def _mesh(
 
 
 def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset]) -> dict[int, Place]:
-    """Return a dict from node number to place for the nodes that are used."""
+    """Return the place of each node that is used, by node number."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
         return {node: node for node in there}
@@ -224,7 +223,7 @@ def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset])
 
 
 def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
-    """Return a dict from (place, direction) to the complex component of a mode."""
+    """Return a mode's complex components, by (place, direction)."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
         for i, direction in enumerate(DIRECTIONS)
@@ -235,7 +234,7 @@ def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
 
 
 def _find_moving(values: dict[int, dict[Dof, complex]]) -> list[Dof]:
-    """Return the sensors with a nonzero component in at least one mode, in the order of the file."""
+    """Return the sensors with a nonzero component in at least one mode, in file order."""
     everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
 
@@ -252,7 +251,7 @@ def _frequency(mode: Dataset) -> float:
 
 @contextmanager
 def imported_pyuff() -> Iterator[ModuleType]:
-    """Yield the module pyuff, with its deprecation warnings silenced."""
+    """Import pyuff for the duration of a ``with`` block, with its deprecation warnings silenced."""
     try:
         import pyuff
     except ImportError:
@@ -263,7 +262,7 @@ def imported_pyuff() -> Iterator[ModuleType]:
 
 
 def datasets(path: Path) -> list[Dataset]:
-    """Return the list of datasets with modes in a universal file.
+    """Read the datasets with modes in a universal file.
 
     Raises
     ------
@@ -277,7 +276,7 @@ def datasets(path: Path) -> list[Dataset]:
 
 
 def read_uff_points(path: Path) -> dict[str, FloatArray]:
-    """Return a dict from node number, as text, to coordinates (3,) in datasets 15 and 2411, in the file's unit.
+    """Read node coordinates (3,) from datasets 15 and 2411, in the file's unit, by node number as text.
 
     Raises
     ------
@@ -308,7 +307,7 @@ def _wrong_nodes(one: Dataset) -> list[str]:
 def read_datasets(
     path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]
 ) -> list[Dataset]:
-    """Return the datasets of the given types, which contain `what`.
+    """Read the datasets of the given types; `what` says in messages what they contain.
 
     Raises
     ------
@@ -344,7 +343,7 @@ def read_datasets(
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return the errors in a dataset read by pyuff, which accepts any number of values."""
+    """Return error messages for a dataset with malformed content, which pyuff does not check."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"
@@ -369,16 +368,15 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Return all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Read all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_uff(path, sensors=tuple(sensors) or None)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 
 
 def write_test_geometry(points: FloatArray) -> str:
-    """Return the points of a test as a universal file: nodes in dataset 15, a trace line through them in 82.
+    """Return measurement points as universal file text: nodes in dataset 15, and a trace line through them in 82.
 
-    The points are numbered from 1. The text is written without pyuff, which need not be installed, because the two
-    datasets are short.
+    The points are numbered from 1. pyuff need not be installed, because the text is written without it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Writer of mode shapes on a mesh as VTU files, unstructured grids of VTK in XML, for ParaView and PyVista.
+"""Writer for mode shapes on a mesh as VTU files, unstructured grids of VTK in XML, for ParaView and PyVista.
 
 The format is described in *The VTK User's Guide*, "VTK File Formats". Arrays are binary, in base64.
 """
@@ -18,7 +18,7 @@ from fmu.types import FloatArray
 
 
 class CellType(NamedTuple):
-    """An element kind: its number of corners, and its type in VTK and in universal files (0 for no type)."""
+    """Element kind: its corner count, and its type number in VTK and in universal files (0 if it has none)."""
 
     corners: int
     vtk: int
@@ -41,7 +41,7 @@ _TYPES = {"d": ("Float64", "<f8"), "f": ("Float32", "<f4"), "i": ("Int64", "<i8"
 
 
 def cells(elements: Iterable[Sequence[int]], kinds: Iterable[str]) -> list[tuple[CellType, tuple[int, ...]]]:
-    """Return a list of the cell type and the corner nodes of every element of a known kind."""
+    """Return the cell type and corner nodes of every element whose kind is known."""
     found = []
     for element, kind in zip(elements, kinds, strict=True):
         known = CELLS.get(kind.rstrip("0123456789"))
@@ -58,7 +58,7 @@ def write_vtu(
     vectors: Mapping[str, FloatArray],
     scalars: Mapping[str, FloatArray],
 ) -> None:
-    """Write a mesh with vectors and integers at its nodes to a VTU file.
+    """Write a mesh with nodal vectors and nodal integers to a VTU file.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ def write_vtu(
         An existing file is replaced.
     coordinates : array_like, shape (n_nodes, 3), m
     elements : iterable of sequence of int
-        Indices of the nodes of each element, counted from 0, corners first.
+        Node indices of each element, counted from 0, corners first.
     kinds : iterable of str
-        Kind of each element; see `CELLS`; elements of other kinds are skipped.
+        Kind of each element; elements whose kind is not in `CELLS` are skipped.
     vectors : mapping of str to ndarray, shape (n_nodes, 3)
-        Vectors at the nodes by name, such as the displacements in a mode.
+        Nodal vectors by name, such as the displacements in a mode.
     scalars : mapping of str to ndarray of int, shape (n_nodes,)
-        Integers at the nodes by name, such as node ids.
+        Nodal integers by name, such as node ids.
     """
     grid, places = cells(elements, kinds), np.asarray(coordinates, dtype=float)
     in_order = (_WEDGE if kind.vtk == CELLS["wedge"].vtk else range(kind.corners) for kind, _ in grid)

@@ -1,4 +1,4 @@
-"""Readers of Nastran matrices: OP4 files, and DMIG entries of the bulk data and the punch file.
+"""Readers for Nastran matrices: OP4 files, and DMIG entries in bulk data and punch files.
 
 Reading order: cards, dmig, op4.
 """

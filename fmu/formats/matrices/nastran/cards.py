@@ -1,4 +1,4 @@
-"""Reader of the entries in Nastran bulk data: small, large and free fields, with continuations."""
+"""Reader for Nastran bulk data entries: small, large and free fields, with continuations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LARGEST_ID = 10**9
 
 
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the name and the fields of each entry, in upper case and without surrounding blanks.
+    """Yield the name and fields of each entry, in upper case and stripped of blanks.
 
     A continuation must directly follow its entry. Lines before the bulk data are yielded too, because none begins
     with the name of an entry that fmu reads.
@@ -52,7 +52,7 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _fields(line: str) -> tuple[str, list[str]]:
-    """Return the first field of a line and its data fields: 8 in small and free format, 4 in large format."""
+    """Split a line into its first field and its data fields: 8 in small and free format, 4 in large format."""
     if "," in line:
         first, *words = (word.strip().upper() for word in line.split(","))
         many = 4 if "*" in first else 8
@@ -63,7 +63,10 @@ def _fields(line: str) -> tuple[str, list[str]]:
 
 
 def whole(field: str, what: str, default: int | None = None) -> int:
-    """Return the whole number in a field, or the default if it is empty. Raise ValueError if it is not whole."""
+    """Return the integer in a field, or the default if the field is empty.
+
+    Raises ValueError if the field is not a whole number.
+    """
     if not field and default is not None:
         return default
     if not re.fullmatch(r"[+-]?\d{1,10}", field):
@@ -72,9 +75,9 @@ def whole(field: str, what: str, default: int | None = None) -> int:
 
 
 def identity(field: str, what: str) -> int:
-    """Return the id of a node, element or coordinate system.
+    """Return the node, element or coordinate system id in a field.
 
-    Raises ValueError if it is not from 1 to `LARGEST_ID`.
+    Raises ValueError if it is not between 1 and `LARGEST_ID`.
     """
     number = whole(field, what)
     if not 1 <= number <= LARGEST_ID:
@@ -93,7 +96,7 @@ def number(field: str, what: str, default: float | None = None) -> float:
 
 
 def components(field: str, what: str) -> list[int]:
-    """Return the list of components 1 to 6 in a field such as ``123456``; [1] if it is 0 or empty (scalar)."""
+    """Return the components (1 to 6) in a field such as ``123456``, or [1] if it is 0 or empty (scalar point)."""
     if field in ("", "0"):
         return [1]
     if not re.fullmatch("[1-6]{1,6}", field):
@@ -102,7 +105,7 @@ def components(field: str, what: str) -> list[int]:
 
 
 def expand_list(fields: list[str], what: str) -> list[int]:
-    """Return the list of ids in fields, with ``THRU`` expanded; empty fields are skipped."""
+    """Return the ids in a list of fields, with ``THRU`` ranges expanded and empty fields skipped."""
     words = [field for field in fields if field]
     found: list[int] = []
     at = 0

@@ -1,4 +1,4 @@
-"""Reader of Nastran DMIG matrices in the bulk data or in the punch file (``PARAM,EXTOUT,DMIGPCH``)."""
+"""Reader for Nastran DMIG matrices in bulk data or punch files (``PARAM,EXTOUT,DMIGPCH``)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SYMMETRIC = 6
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return a matrix whose rows are the nodes and components named in its entries, in ascending order."""
+    """Read a matrix; its rows are the nodes and components that its entries name, in ascending order."""
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0
@@ -68,7 +68,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _place(node: str, component: str, name: str) -> int:
-    """Return 8 × node + direction, with the direction counted from 0: the key by which rows are sorted."""
+    """Return 8 × node + direction (from 0), the key by which rows are sorted."""
     directions = components(component, f"DMIG {name}: a component")
     if len(directions) != 1:
         raise ValueError(f"DMIG {name}: a component must be one of 0 to 6 (got {component})")

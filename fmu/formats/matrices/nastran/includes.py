@@ -1,4 +1,4 @@
-"""Reader of the lines of a Nastran deck, with each ``INCLUDE`` replaced by the lines of the included file.
+"""Reader for the lines of a Nastran deck, with each ``INCLUDE`` replaced by the included file's lines.
 
 File names may be in quotes, and a quoted name may continue over several lines. Names are relative to the folder of
 the deck or of the including file, and must lie inside the folder of the deck.
@@ -27,20 +27,20 @@ _INCLUDE = re.compile(r"\s*INCLUDE(?=[\s'\"=])\s*=?\s*(.*)", re.IGNORECASE)
 
 @dataclass
 class _Count:
-    """The number and the size of the files read for a deck."""
+    """Number and total size of the files read so far for one deck."""
 
     files: int = 0
     size: int = 0
 
 
 def deck_lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a deck and of the files that it includes, in order.
+    """Yield the lines of a deck, with included files inserted in place.
 
     Raises
     ------
     RefusedError
-        If an included file does not exist, lies outside the folder of the deck or includes itself, or the files
-        are too many or too large.
+        If an included file does not exist, lies outside the deck's folder or includes itself, or there are too
+        many or too large files.
     ValueError
         If a file is not text.
     """
@@ -48,7 +48,7 @@ def deck_lines(path: Path) -> Iterator[str]:
 
 
 def included_files(path: Path) -> list[Path]:
-    """Return the files that a deck includes, each once, as paths below its folder; see `deck_lines`."""
+    """Return the files that a deck includes, without duplicates, as paths below its folder; see `deck_lines`."""
     folder, found = path.parent.resolve(), dict[Path, None]()
     for _ in _lines(path, folder, (path.resolve(),), _Count(), found):
         pass
@@ -58,7 +58,10 @@ def included_files(path: Path) -> list[Path]:
 def _lines(
     path: Path, folder: Path, within: tuple[Path, ...], count: _Count, found: dict[Path, None] | None = None
 ) -> Iterator[str]:
-    """Yield the lines of a file and its included files, adding these to `found`; `within` is the include chain."""
+    """Yield the lines of a file and its included files.
+
+    `within` is the chain of files that include this one. Included files are added to `found` if it is given.
+    """
     count.files += 1
     count.size += path.stat().st_size
     if count.files > MOST_FILES or count.size > LARGEST_FILE:
@@ -83,7 +86,7 @@ def _lines(
 
 
 def _name(text: str, lines: Iterator[str]) -> str:
-    """Return the file name in an INCLUDE entry; a quoted name may continue over lines, joined without blanks."""
+    """Return the file name in an INCLUDE entry. A quoted name may continue on further lines, without blanks."""
     mark = text[:1]
     if mark not in ("'", '"'):
         return text.partition("$")[0].strip()
@@ -97,7 +100,7 @@ def _name(text: str, lines: Iterator[str]) -> str:
 
 
 def _inside(name: str, folder: Path, beside: Path) -> Path:
-    """Return the path of an included file. Raise RefusedError unless it is inside `folder` with links resolved."""
+    """Return the path of an included file. Raise RefusedError if it resolves to a file outside `folder`."""
     name = name.replace("\\", "/")
     for base in (folder, beside):
         path = Path(os.path.normpath(base / name))

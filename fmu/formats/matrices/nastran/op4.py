@@ -1,4 +1,4 @@
-"""Reader of Nastran OUTPUT4 matrices, ``.op4``: binary of either byte order, or text; full or sparse columns.
+"""Reader for Nastran OUTPUT4 matrices, ``.op4``: binary of either byte order, or text; full or sparse columns.
 
 MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files do not name their rows: see `fmu.formats.models.bulk`.
 The DMAP statements are::
@@ -44,7 +44,7 @@ _OF_MYSTRAN = tuple(f".ou{unit}" for unit in range(1, 8))
 
 
 class _Header(NamedTuple):
-    """The header of a matrix: numbers of rows (negative with BIGMAT) and columns, type and name."""
+    """Matrix header: number of rows (negative with BIGMAT), number of columns, type and name."""
 
     rows: int
     columns: int
@@ -57,7 +57,7 @@ class _Header(NamedTuple):
 
 
 class _Entries:
-    """The entries of a matrix, added column by column."""
+    """Matrix entries, collected column by column."""
 
     def __init__(self, header: _Header) -> None:
         self.header = header
@@ -65,9 +65,9 @@ class _Entries:
         self.strings: list[tuple[int, int, AnyArray]] = []
 
     def add(self, column: int, row: int, values: AnyArray) -> None:
-        """Add consecutive values of a column from `row` on; column and row are counted from 1.
+        """Add consecutive values of a column, starting at `row`; column and row are counted from 1.
 
-        MYSTRAN writes full columns. If a column is mostly zero, only its runs of nonzeros are kept.
+        MYSTRAN writes full columns. If a column is mostly zero, only its runs of nonzeros are stored.
         """
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
@@ -85,7 +85,7 @@ class _Entries:
         self.strings.append((row, column, values))
 
     def matrix(self) -> sp.csr_array:
-        """Return the matrix as a csr_array, and clear the entries."""
+        """Return the matrix, and release the collected entries."""
         header = self.header
         rows_within(max(abs(header.rows), header.columns))
         counts = np.array([len(values) for *_, values in self.strings], dtype=np.int64)
@@ -120,12 +120,12 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name of each matrix, with its entries if the name is `variable`, and None otherwise."""
+    """Yield each matrix name, with the matrix entries if the name is `variable`, or None if it is not."""
     end = file.seek(0, 2)
     file.seek(0)
 
     def record(wanted: bool = True, first: int = 0) -> bytes:
-        """Return the next record: its first `first` bytes, or all of it if `wanted` is True."""
+        """Return the next record, or only its first `first` bytes if it is not `wanted`."""
         size = _length(file.read(4))
         if file.tell() + size + 4 > end:
             raise ValueError("it is cut short")
@@ -176,7 +176,7 @@ def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tup
 
 
 def _strings(entries: _Entries, column: int, data: bytes, whole: np.dtype, real: np.dtype) -> None:
-    """Add the strings of a sparse column; a string is a run of consecutive nonzeros."""
+    """Add the strings (runs of consecutive nonzeros) of a sparse column."""
     at = 0
     while at < len(data):
         if entries.header.big:
@@ -198,7 +198,7 @@ _TITLE = re.compile(r"\s*(\d+)\s*(-?\d+)\s+(\d+)\s+(\d+)\s*([A-Za-z]\w*)\s*(?:1P
 
 
 def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name of each matrix, with its entries if the name is `variable`, and None otherwise.
+    """Yield each matrix name, with the matrix entries if the name is `variable`, or None if it is not.
 
     Lines with a decimal point contain values; the other lines give the column and row of the values that follow.
     The word counts on these lines are ignored, because some programs write wrong counts.
@@ -255,7 +255,7 @@ def _starts(line: str, width: int) -> range:
 
 
 def _whole_numbers(line: str) -> list[str]:
-    """Return the one to three whole numbers on a line as words. Raise ValueError if it contains anything else."""
+    """Return the one to three whole numbers on a line, as text. Raise ValueError if it contains anything else."""
     words = line.split()
     if all(re.fullmatch(r"-?\d{1,10}", word) for word in words) and 1 <= len(words) <= 3:
         return words
