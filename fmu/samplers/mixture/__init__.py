@@ -1,5 +1,6 @@
-"""An independence sampler that draws candidates from a mixture of truncated Gaussians, fitted in warm-up.
+"""An independence sampler whose proposals come from a mixture of truncated Gaussians fitted in warm-up.
 
-Reading order: `truncated_normal`, `quadratic`, `warp`, `importance`, `proposal`, `kernel`, `mixture`; then
-`curve`, `bent` and `curved`, for densities that are bent, hollow or infinite at a wall; then `warmup`.
+A proposal drawn from the mixture is called a candidate. Reading order: `truncated_normal`, `quadratic`, `warp`,
+`importance`, `proposal`, `kernel`, `mixture`; then `curve`, `bent` and `curved`, for densities that are curved,
+hollow or infinite at a bound; then `warmup`.
 """

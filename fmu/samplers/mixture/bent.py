@@ -1,4 +1,4 @@
-"""A mixture of bent Gaussians, fitted by the expectation–maximisation algorithm."""
+"""Mixtures of curved Gaussians, fitted by expectation–maximisation (EM)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _NEAR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class BentGaussians:
-    """A mixture of bent Gaussians: x = mean + A t with t_i = b_i(t) + sd_i z_i, where z is standard normal.
+    """Mixture of curved ("bent") Gaussians: x = mean + A t with t_i = b_i(t) + sd_i z_i and z standard normal.
 
-    b_i is quadratic in the t_j with j > i. The columns of A are the principal axes, shortest first, so each t_i
-    bends with the longer axes and a Gaussian can follow a thin curved sheet or thread. The map from z to t is
-    triangular.
+    Each b_i is a quadratic polynomial in the t_j with j > i. The columns of A are the principal axes, shortest
+    first. A short axis therefore curves along the longer ones, and a Gaussian can follow a thin curved sheet or
+    thread. The map from z to t is triangular, so its Jacobian is the product of the sd_i.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class BentGaussians:
     sds: FloatArray
 
     def to_z(self, x: FloatArray, k: int) -> FloatArray:
-        """Return the points z, shape (n, ndim), which Gaussian k maps to the points x (n, ndim)."""
+        """Transform points x to the standard normal coordinates z of Gaussian k; both have shape (n, ndim)."""
         t = np.linalg.solve(self.axes[k], (x - self.means[k]).T).T
         return np.asarray((t - features(t) @ self.bends[k].T if self.bends[k].any() else t) / self.sds[k])
 
     def to_x(self, z: FloatArray, k: int) -> FloatArray:
-        """Return the points x, shape (n, ndim), to which Gaussian k maps the points z (n, ndim)."""
+        """Transform standard normal coordinates z of Gaussian k to points x; both have shape (n, ndim)."""
         t = z * self.sds[k]
         if self.bends[k].any():
             for i in range(t.shape[1] - 2, -1, -1):
@@ -63,7 +63,10 @@ class BentGaussians:
         return np.asarray(self.means[k] + t @ self.axes[k].T)
 
     def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
-        """Return weighted log-densities, (factors, k, n), of the Gaussians widened by each factor in `wider`."""
+        """Return the weighted log-densities of the Gaussians at points x, shape (n_factors, k, n).
+
+        Each factor in `wider` scales the width of all Gaussians.
+        """
         ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
         for k, weight in enumerate(self.weights):
             square = np.sum(self.to_z(x, k) ** 2, axis=1)
@@ -73,23 +76,24 @@ class BentGaussians:
         return found
 
     def responsibilities(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability that each point came from each Gaussian, (k, n), and the log-density, (n,)."""
+        """Return each Gaussian's probability of producing each point, (k, n), and the log-densities, (n,)."""
         each = self.log_densities(x, np.ones(1))[0]
         total = np.asarray(logsumexp(each, axis=0))
         return np.exp(each - total), total
 
     @property
     def n_coefficients(self) -> int:
-        """Number of parameters of the mixture, for the penalty of the fit."""
+        """Number of free parameters in the mixture, on which the fit's penalty depends."""
         ndim = self.means.shape[1]
         return int(np.count_nonzero(self.bends)) + len(self.weights) * (ndim + 1) * (ndim + 2) // 2
 
 
 def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
-    """Return the best mixture for points x (n, ndim) with weights (n,), and its penalised mean log-likelihood.
+    """Return the best mixture for weighted points, and its penalised mean log-likelihood.
 
-    The fit begins with one Gaussian. All Gaussians are then cut in two across their longest axes, repeatedly,
-    until this no longer helps. Raise LinAlgError if there are too few points for one Gaussian.
+    The points x have shape (n, ndim) and their weights shape (n,). The fit begins with one Gaussian and repeatedly
+    splits every Gaussian across its longest axis, until this no longer improves the fit. Raise LinAlgError if
+    there are too few points for one Gaussian.
     """
     ndim, weight = x.shape[1], weight / weight.sum()
     size = 1.0 / float(np.sum(weight**2))
@@ -118,10 +122,7 @@ def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, flo
 def _run_sweeps(
     x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians
 ) -> tuple[BentGaussians, float]:
-    """Return the best mixture from up to `_SWEEPS` expectation–maximisation sweeps, and its log-likelihood.
-
-    The log-likelihood is the weighted mean over the points.
-    """
+    """Run up to `_SWEEPS` EM sweeps; return the best mixture and its weighted mean log-likelihood per point."""
     best, highest = parts, -np.inf
     for sweep in range(_SWEEPS + 1):
         r, total = parts.responsibilities(x)
@@ -136,10 +137,10 @@ def _run_sweeps(
 
 
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
-    """Return the Gaussians fitted to points with responsibilities r (k, n); None if each has too few points.
+    """Fit Gaussians to points with responsibilities r (k, n); return None if every Gaussian has too few points.
 
-    Each Gaussian is widened to allow for its uncertainty: measured with the mean and covariance of n points, the
-    expected squared distance of a further point is larger by the factor 1 + (ndim + 2)/n.
+    Each Gaussian is widened to allow for its own uncertainty. A mean and covariance estimated from n points
+    underestimate a new point's expected squared distance by the factor 1 + (ndim + 2)/n.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

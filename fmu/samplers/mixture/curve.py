@@ -1,4 +1,4 @@
-"""Coordinates that straighten a bent density: transformed margins at the walls, then a triangular map."""
+"""Coordinates that straighten a curved density: transformed margins near the bounds, then a triangular map."""
 
 from __future__ import annotations
 
@@ -30,24 +30,26 @@ _TINY, _EPS = 1e-300, 2.0**-53
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Coordinates x of points u in which a bent density is straight.
+    """Map from points u to coordinates x in which a curved density is close to Gaussian.
 
-    The margins y_i(u_i) are standardised to z, and x_k = (z_k − m_k(z)) exp(−s_k(z)). m_k is quadratic and s_k
-    linear in the coordinates that precede k in `order`, so the map is triangular and its determinant is a product.
-    m_k turns a banana into a Gaussian, and s_k does the same for a funnel. Between two bounds, a margin may be
-    Φ⁻¹(I_t(a, b)) with t = (u − lower)/(upper − lower), where I_t is the distribution function of a beta
-    distribution. A density that is infinite at a wall then becomes Gaussian. Every other margin is u_i itself.
+    Each margin y_i(u_i) is standardised to z_i, and x_k = (z_k − m_k(z)) exp(−s_k(z)). The shift m_k is quadratic,
+    and the log-scale s_k is linear, in the coordinates that precede k in `order`. The map is therefore triangular,
+    and its determinant is a product. The shift straightens a banana; the log-scale straightens a funnel.
+
+    A margin is u_i itself, unless the density is infinite at one of the two bounds. It is then Φ⁻¹(I_t(a, b)) with
+    t = (u − lower)/(upper − lower), where I_t is the cumulative distribution function (CDF) of a beta
+    distribution.
 
     Attributes
     ----------
     lower, upper : ndarray, shape (ndim,)
-        The box of u.
+        Bounds of u.
     a, b : ndarray, shape (ndim,)
-        Shape parameters of the beta distributions; NaN where the margin is u.
+        Shape parameters of the beta distributions; NaN where the margin is u_i itself.
     centre, spread : ndarray, shape (ndim,)
         Centre and spread of the margins in z = (y − centre)/spread.
     order : ndarray of int, shape (ndim,)
-        Indices of the coordinates; each follows those on which its m_k and s_k depend.
+        Coordinate indices; each coordinate comes after those on which its m_k and s_k depend.
     location, scale : ndarray, shape (ndim, n)
         Coefficients of m_k and s_k with respect to the n `features`.
 
@@ -68,7 +70,7 @@ class Curve:
     scale: FloatArray
 
     def to_x(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the coordinates x, (n, ndim), of points u inside the box, (n, ndim), and log |dx/du|, (n,)."""
+        """Return the coordinates x, (n, ndim), of points u within the bounds, (n, ndim), and log |dx/du|, (n,)."""
         y, log_slope = self.margins(u)
         z = (y - self.centre) / self.spread
         phi = features(z)
@@ -76,9 +78,9 @@ class Curve:
         return (z - phi @ self.location.T) * np.exp(-s), log_slope - np.sum(np.log(self.spread) + s, axis=1)
 
     def to_u(self, x: FloatArray) -> FloatArray:
-        """Return the points u that have coordinates x, both (n, ndim).
+        """Return the points u whose coordinates are x; both have shape (n, ndim).
 
-        Coordinates of u without a beta margin may lie outside the box.
+        Components of u without a beta margin may lie outside their bounds.
         """
         z = np.zeros_like(x)
         for k in self.order:
@@ -87,7 +89,7 @@ class Curve:
         return self.from_margins(self.centre + self.spread * z)
 
     def margins(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the margins y, (n, ndim), of points u (n, ndim), and log |dy/du|, shape (n,)."""
+        """Return the margins y of points u, both of shape (n, ndim), and log |dy/du|, shape (n,)."""
         y, log_slope = u.copy(), np.zeros(len(u))
         for i in np.flatnonzero(np.isfinite(self.a)):
             width = self.upper[i] - self.lower[i]
@@ -96,7 +98,7 @@ class Curve:
         return y, log_slope
 
     def from_margins(self, y: FloatArray) -> FloatArray:
-        """Return the points u that have margins y, both (n, ndim)."""
+        """Return the points u whose margins are y; both have shape (n, ndim)."""
         u = y.copy()
         for i in np.flatnonzero(np.isfinite(self.a)):
             # measured from the nearer wall, where floating-point numbers are denser
@@ -108,19 +110,20 @@ class Curve:
 
 
 def features(z: FloatArray) -> FloatArray:
-    """Return the features 1, z_i, and z_i z_j with i ≤ j, of points z (n, ndim) clipped to ±`_FAR`."""
+    """Return the polynomial features 1, z_i and z_i z_j (i ≤ j) of points z (n, ndim) clipped to ±`_FAR`."""
     z = np.clip(z, -_FAR, _FAR)
     i, j = np.triu_indices(z.shape[1])
     return np.concatenate([np.ones((len(z), 1)), z, z[:, i] * z[:, j]], axis=1)
 
 
 def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
-    """Return a mask of the `features` that contain only the coordinates `used`; without products if `linear`.
+    """Return a mask of the `features` that involve no coordinates other than those marked in `used`.
 
     Parameters
     ----------
     used : ndarray of bool, shape (ndim,)
     linear : bool
+        If True, the products z_i z_j are left out as well.
 
     Returns
     -------
@@ -131,17 +134,17 @@ def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
 
 
 def least_squares(phi: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return least-squares coefficients, (k,), of the features phi (n, k) fitted to y (n,) with weights (n,)."""
+    """Fit features phi (n, k) to values y (n,) by weighted least squares; return the coefficients, shape (k,)."""
     weighted = phi.T * (weight / weight.sum())
     normal = weighted @ phi
     return np.asarray(np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-12), weighted @ y))
 
 
 def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return at most `most` of the points u (n, ndim), chosen by systematic resampling, and their new weights.
+    """Thin weighted points to at most `most` by systematic resampling; return the points and their new weights.
 
-    A point that is drawn several times is returned once, with a proportionally larger weight. If there are no more
-    than `most` points, all are returned.
+    The points u have shape (n, ndim). A point drawn several times is returned once, with a proportionally larger
+    weight. All points are returned unchanged if there are no more than `most`.
     """
     weight = weight / weight.sum()
     if len(u) <= most:
@@ -152,11 +155,11 @@ def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArra
 
 
 def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> Curve:
-    """Return the curve in whose coordinates points u (n, ndim) with weights (n,) are most nearly Gaussian.
+    """Return the `Curve` that makes points u (n, ndim) with weights (n,) most nearly Gaussian.
 
-    The last coordinate in the order is the one that gains the most log-likelihood when it is bent with all the
-    others. The one before it is chosen in the same way from the remaining coordinates, and so on, as long as the
-    gain is large enough.
+    The last coordinate in the curve's order is the one whose log-likelihood gains most if it depends on all the
+    others. The second-to-last is chosen in the same way from the remaining coordinates, and so on until the gain
+    becomes too small.
     """
     ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
     u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))
@@ -187,11 +190,11 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 
 
 def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return the gain in log-likelihood per point from bending coordinate k, and the coefficients of m_k and s_k.
+    """Fit m_k and s_k as functions of the coordinates `others`; return the gain per point, and both coefficients.
 
-    m_k and s_k depend on the coordinates `others`. The gain is relative to a linear m_k and a constant s_k, less
-    the gain expected from useless coefficients. It is -inf if there are too few points. m_k is fitted by weighted
-    least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44, 461-465).
+    The gain is the rise in log-likelihood over a linear m_k and a constant s_k, minus the rise expected from
+    useless coefficients. It is -inf if there are too few points. The fit alternates between weighted least squares
+    for m_k and Fisher scoring for s_k (Harvey 1976, Econometrica 44, 461-465).
     """
     phi, y = features(z), z[:, k]
     in_m, in_s = select_features(others), select_features(others, linear=True)
@@ -224,9 +227,9 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
 def fit_infinite_margins(
     u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the shape parameters a and b, (ndim,), of beta margins where the density is infinite at a wall.
+    """Return beta shape parameters a and b, each (ndim,), of the coordinates whose density is infinite at a bound.
 
-    They are NaN for all other coordinates. Where a density is finite at a wall, the shape parameter is at least 1
+    Both are NaN for all other coordinates. A shape parameter is at least 1 at a bound where the density is finite
     (uniform and exponential margins have 1).
     """
     shapes = np.full((2, u.shape[1]), np.nan)
@@ -241,11 +244,11 @@ def fit_infinite_margins(
 
 
 def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
-    """Return the exponent a if the probability below t is proportional to t^a near 0.
+    """Return the exponent a of a distribution whose CDF grows as t^a near t = 0.
 
-    A beta distribution also has a shape parameter below 1 where a density is finite but falls steeply away from
-    the wall. The estimate therefore uses the tenth of the points that are nearest to 0. It is the
-    maximum-likelihood estimate of a power law below the farthest of these points (Hill 1975, *Annals of
+    Only the tenth of the points nearest to 0 is used. A beta distribution fitted to all points would also have a
+    shape parameter below 1 if the density is finite but falls steeply away from the bound. The estimate is the
+    maximum-likelihood exponent of a power law up to the farthest of these points (Hill 1975, *Annals of
     Statistics* 3, 1163–1174).
     """
     order = np.argsort(t)
@@ -256,7 +259,7 @@ def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
 
 
 def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Return the maximum-likelihood shape parameters of a beta distribution of points t; NaN if extreme."""
+    """Return the maximum-likelihood shape parameters of a beta distribution of points t; both NaN if extreme."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     mean = float(weight @ t)
     common = mean * (1.0 - mean) / max(float(weight @ (t - mean) ** 2), _TINY) - 1.0
@@ -272,7 +275,7 @@ def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
 
 
 def _normal_of_beta(t: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
-    """Return y = Φ⁻¹(I_t(a, b)) and log dy/dt, both with the shape of t."""
+    """Return y = Φ⁻¹(I_t(a, b)) and log dy/dt; both have the shape of t."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     below, above = betainc(a, b, t), betainc(b, a, 1.0 - t)
     log_tail = np.log(np.clip(np.minimum(below, above), _TINY, 0.5))

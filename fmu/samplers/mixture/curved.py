@@ -1,4 +1,4 @@
-"""A mixture of Gaussians in curvilinear coordinates, for banana-shaped and ring-shaped densities."""
+"""Gaussian mixtures in curvilinear coordinates, for banana-shaped and ring-shaped densities."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ _NEGLIGIBLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class CurvedMixture:
-    """A normalised mixture of bent Gaussians, each with a wider copy, and an unbent t distribution.
+    """A normalised mixture: curved Gaussians, each with a wider copy, plus one t distribution that is not curved.
 
-    The t distribution applies to the margins of the curve and is wider than the fitted points. It keeps the
-    weights P/q of an independence sampler bounded where a bend is extrapolated wrongly (Hesterberg 1995,
-    Technometrics 37, 185-194). The density is not truncated to the box; draws outside the box are rejected without
+    The t distribution is defined on the curve's margins and is wider than the fitted points. It keeps an
+    independence sampler's weights P/q bounded where a curved Gaussian extrapolates wrongly (Hesterberg 1995,
+    Technometrics 37, 185-194). The mixture is not truncated at the bounds; draws outside them are rejected without
     an evaluation.
 
     Attributes
     ----------
     curve : Curve
     parts : BentGaussians
-        The bent Gaussians, in the coordinates x of the curve.
+        The curved Gaussians, in the coordinates x of `curve`.
     mean : ndarray, shape (ndim,)
         Centre of the t distribution.
     factor : ndarray, shape (ndim, ndim)
-        Cholesky factor of the scale matrix of the t distribution.
+        Cholesky factor of the t distribution's scale matrix.
     """
 
     curve: Curve
@@ -48,25 +48,25 @@ class CurvedMixture:
 
     @property
     def weights(self) -> FloatArray:
-        """Weights of the bent Gaussians, shape (k,)."""
+        """Weights of the curved Gaussians, shape (k,)."""
         return self.parts.weights
 
     @property
     def gaussians(self) -> None:
-        """None, because this mixture cannot be refined by further fits of Gaussians."""
+        """Always None, because fits of ordinary Gaussians cannot refine this mixture."""
 
     @property
     def wide(self) -> float:
-        """Share of the wider copies in the weight of the Gaussians."""
+        """Fraction of each Gaussian's weight that its wider copy takes."""
         return _WIDE
 
     @property
     def _copies(self) -> tuple[FloatArray, FloatArray]:
-        """Factors by which each Gaussian and its copy are widened, and the shares of the two."""
+        """Widening factors of a Gaussian and its copy, and the weight fraction of each; both have shape (2,)."""
         return np.array([1.0, np.exp(0.5 * min(5.0 / len(self.mean), 2.5))]), np.array([1.0 - _WIDE, _WIDE])
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` independent draws, shape (n, ndim), some of them outside the box."""
+        """Return `n` independent draws, shape (n, ndim); some may lie outside the bounds."""
         wider, shares = self._copies
         part = rng.choice(len(self.weights), size=n, p=self.weights / self.weights.sum())
         z = rng.standard_normal((n, len(self.mean)))
@@ -80,7 +80,7 @@ class CurvedMixture:
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the normalised log-density at points u (n, ndim) inside the box, shape (n,)."""
+        """Return the normalised log-density, shape (n,), at points u (n, ndim) within the bounds."""
         if not len(u):
             return np.empty(0)
         wider, shares = self._copies
@@ -96,23 +96,23 @@ class CurvedMixture:
         return np.asarray(np.logaddexp(np.log1p(-_SAFE) + bent, np.log(_SAFE) + safe))
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the covariance, shape (ndim, ndim), of `n` draws clipped to the box."""
+        """Return the covariance, shape (ndim, ndim), of `n` draws clipped to the bounds."""
         u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
         ndim = len(self.mean)
         return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
 
     def settings(self) -> Tree:
-        """Return the settings with which a `MixtureSampler` uses this mixture, as a dict."""
+        """Return the `MixtureSampler` settings, by name, that make it use this mixture."""
         return {"components": self}
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the mixture as a dict of arrays."""
+        """Return the arrays that define the mixture, by name."""
         fields = {**vars(self.curve), **vars(self.parts), "mean": self.mean, "factor": self.factor}
         return {name: value.astype(float) for name, value in fields.items()}
 
     @classmethod
     def of_arrays(cls, arrays: Tree) -> CurvedMixture:
-        """Return the mixture stored in `arrays`."""
+        """Return the mixture defined by the arrays that `arrays` returned."""
         of_curve, of_parts = (
             {name: np.asarray(arrays[name]) for name in kind.__dataclass_fields__}
             for kind in (Curve, BentGaussians)
@@ -122,7 +122,7 @@ class CurvedMixture:
 
 
 def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
-    """Return the mixture fitted to points u (n, ndim) with weights (n,).
+    """Fit a `CurvedMixture` to points u (n, ndim) with weights (n,).
 
     Raise LinAlgError if there are too few points for a Gaussian or they do not span the space.
     """
@@ -143,7 +143,7 @@ def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Floa
 
 
 def _fit_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
-    """Return the Gaussians fitted to points in the coordinates of `curve`, and the penalised log-likelihood."""
+    """Fit curved Gaussians in the coordinates of `curve`; return them and their penalised log-likelihood."""
     x, log_slope = curve.to_x(u)
     parts, score = fit_gaussians(x, weight)
     n = np.count_nonzero(curve.location) + np.count_nonzero(curve.scale)

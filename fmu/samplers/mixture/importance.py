@@ -1,4 +1,4 @@
-"""Importance sampling: draws from several proposals combined in one mixture, and their weights P/q."""
+"""Importance sampling from several proposals combined into one mixture, with weights P/q."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from fmu.types import FloatArray
 
 
 class Proposal(Protocol):
-    """A density from which draws can be made."""
+    """A probability density that can be sampled and evaluated."""
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Return `n` draws, shape (n, ndim)."""
         ...
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the log-density at points u (n, ndim), shape (n,)."""
+        """Return the log-density, shape (n,), at points u (n, ndim)."""
         ...
 
 
 def draw_mixture(
     proposals: Sequence[Proposal], counts: Sequence[int], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw `counts` points from the proposals; return them, (n, ndim), and the mixture's log-density there, (n,).
+    """Make `counts[k]` draws from each proposal k; return them, (n, ndim), and the mixture's log-density, (n,).
 
-    A weight P/q uses the density q of the mixture, not of the proposal that made the draw. This is the balance
-    heuristic (Veach & Guibas 1995, SIGGRAPH; Owen & Zhou 2000, JASA 95, 135-143).
+    The weight P/q of a draw uses the density q of the whole mixture, not just of the proposal that made the draw.
+    This is the balance heuristic (Veach & Guibas 1995, SIGGRAPH; Owen & Zhou 2000, JASA 95, 135-143).
     """
     u = np.concatenate([proposal.draw(rng, count) for proposal, count in zip(proposals, counts, strict=True)])
     shares = np.asarray(counts) / max(counts)
@@ -38,12 +38,12 @@ def draw_mixture(
 
 
 def sum_densities(log_q: Sequence[FloatArray] | FloatArray, counts: Sequence[float] | FloatArray) -> FloatArray:
-    """Return log Σ_k n_k q_k, shape (n,), given the log-densities of the q_k (k, n) and the counts n_k (k,)."""
+    """Return log Σ_k n_k q_k, shape (n,), from the log-densities log q_k, (k, n), and the counts n_k, (k,)."""
     return np.asarray(logsumexp(np.asarray(log_q) + np.log(counts)[:, None], axis=0))
 
 
 def cut_largest(log_w: FloatArray) -> FloatArray:
-    """Return the log-weights (n,), with weights above √n times the mean weight reduced to that value.
+    """Truncate importance weights at √n times their mean; return the log-weights, shape (n,).
 
     Ionides (2008), J. Comput. Graph. Stat. 17, 295-311.
     """
@@ -51,17 +51,17 @@ def cut_largest(log_w: FloatArray) -> FloatArray:
 
 
 def even_out(log_w: FloatArray, least: float, power: float) -> FloatArray:
-    """Return the log-weights (n,), multiplied by `power` until the effective number of draws reaches `least`."""
+    """Multiply log-weights (n,) by `power` repeatedly until their effective sample size reaches `least`."""
     while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
         log_w = power * log_w
     return log_w
 
 
 def effective_size(log_w: FloatArray) -> float:
-    """Return Kish's effective number of draws, given their log-weights (n,)."""
+    """Return Kish's effective sample size of draws with log-weights (n,)."""
     return float(np.exp(2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w)))
 
 
 def resample(rng: np.random.Generator, u: FloatArray, log_w: FloatArray, n: int) -> FloatArray:
-    """Return `n` draws, shape (n, ndim), resampled from `u` with probabilities proportional to the weights."""
+    """Resample `n` of the points u with probabilities proportional to their weights; shape (n, ndim)."""
     return np.asarray(u[rng.choice(len(u), n, p=np.exp(log_w - logsumexp(log_w)))])

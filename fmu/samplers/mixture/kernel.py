@@ -1,4 +1,4 @@
-"""The kernel of the mixture sampler, which alternates between independent candidates and local steps."""
+"""The mixture sampler's kernel, which alternates between local steps and jumps to independent candidates."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
 class MixtureKernel:
     """Kernel that alternates between local steps and jumps to candidates drawn from a mixture.
 
-    A candidate of weight w* = P/q is accepted with probability min(1, w*/w), where w is the weight of the present
-    position. The extra arrays of the State are:
+    A candidate with weight w* = P/q is accepted with probability min(1, w*/w), where w is the weight at the
+    chain's current position. The `State` carries these extra arrays:
 
-    - ``step`` (): the number of steps taken;
+    - ``step`` (): number of steps taken;
     - ``block_position`` (BLOCK, chains, ndim), ``block_log_prob`` and ``block_log_weight`` (BLOCK, chains): the
-      block of candidates;
-    - ``next`` (): the index of the next candidate in the block;
+      current block of candidates, which is evaluated in one batch;
+    - ``next`` (): index of the next candidate in the block;
     - ``log_weight`` (chains,): log w at the positions;
-    - ``fit`` (): the number of the fit of the mixture to which block and weights belong;
+    - ``fit`` (): number of the mixture fit from which the block and the weights come;
     - ``local_...``: the statistics of the last local step.
 
     Attributes
@@ -44,14 +44,13 @@ class MixtureKernel:
         The mixture; None before the first fit, when every step is a local step.
     local : LocalKernel
     local_steps, jumps : int
-        Numbers of local steps and of jumps in each cycle.
+        Numbers of local steps and of jumps per cycle.
     fit : int
-        Number of the fit of the mixture; candidates and weights of an earlier fit are not used.
+        Number of the current mixture fit; candidates and weights from an earlier fit are not used.
     gathers : bool
-        Whether a chain that lags behind accepts every candidate above the median log-density of the candidates. A
-        chain lags behind if it is below this median by more than `_FAR` plus one per coordinate. For warm-up only:
-        a chain that starts too far out for any local step to succeed would otherwise never move, because its
-        weight is infinite.
+        Used in warm-up only. If True, a chain far out in the tail accepts every candidate above the candidates'
+        median log-density. Without this it might never move: local steps fail there, and its weight is infinite.
+        "Far out" is more than `_FAR` plus one per coordinate below that median.
     """
 
     target: Target
@@ -78,7 +77,7 @@ class MixtureKernel:
         return replace(state, extra=extra), info
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Take a local step or a jump, depending on the number of steps taken."""
+        """Take one local step or one jump, whichever is next in the cycle; return the new state and its `Info`."""
         number = int(state.extra["step"])
         state = replace(state, extra={**state.extra, "step": np.array(number + 1)})
         if self.proposal is None or number % (self.local_steps + self.jumps) < self.local_steps:
@@ -152,5 +151,5 @@ class MixtureKernel:
 
 
 def _nothing(value: AnyArray) -> AnyArray:
-    """Return the placeholder that a jump records for a statistic of local steps: NaN, 0 or False, by its type."""
+    """Return a jump's placeholder for a local-step statistic: NaN, 0 or False, depending on its type."""
     return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

@@ -1,4 +1,4 @@
-"""A move for any emcee ``EnsembleSampler`` that draws candidates from a mixture of Gaussians."""
+"""A move for any emcee ``EnsembleSampler``, with proposals from a Gaussian mixture."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _FAR = 10.0
 
 @check_arguments
 class MixtureMove(Move):
-    """emcee move that draws independent candidates from a mixture of truncated Gaussians fitted to the walkers.
+    """emcee move that proposes independent candidates from a mixture of truncated Gaussians fitted to the walkers.
 
-    As in other emcee moves, the walkers are divided at random into two halves that are moved in turn. The mixture
-    q for one half is fitted only to the positions and log-probabilities of the other half. Given the other half, q
-    is fixed, and a walker x moves to its candidate x* with probability min(1, P(x*) q(x)/(P(x) q(x*))). This
-    leaves the posterior invariant in every step, without any warm-up.
+    As in other emcee moves, the walkers are divided at random into two halves that move in turn. The mixture q for
+    one half is fitted only to the positions and log-probabilities of the other half. A walker at x moves to its
+    candidate x* with probability min(1, P(x*) q(x)/(P(x) q(x*))). Since q does not depend on the moving half,
+    every step leaves the posterior invariant, without any warm-up.
 
-    ``run_mcmc(..., tune=True)`` is a warm-up: after 10, 20, 40, ... steps, the mixture is fitted to all walkers in
-    the later half of these steps. Discard the draws of the warm-up. Afterwards the mixture is frozen, which also
-    leaves the posterior invariant. The frozen mixture is better, because it is fitted to more points, and no step
-    needs a fit.
+    ``run_mcmc(..., tune=True)`` is a warm-up: after 10, 20, 40, ... steps the mixture is fitted to all walkers in
+    the later half of these steps. Discard the warm-up draws. The mixture is then frozen, which also leaves the
+    posterior invariant. A frozen mixture is better, because it is fitted to more points, and later steps need no
+    fit.
 
-    A candidate does not depend on the position of its walker, so walkers cross between separate modes. But a
-    walker may be stuck for long where the density of the mixture is far too low. Add another move to avoid this:
+    A candidate does not depend on its walker's position, so walkers cross between separate modes. A walker may,
+    however, be stuck for long where the mixture's density is far too low. Add another move to avoid this:
     ``moves=[(fmu.MixtureMove(problem), 0.8), (emcee.moves.DEMove(), 0.2)]``.
 
     Parameters
@@ -49,8 +49,8 @@ class MixtureMove(Move):
     density : LogDensity, optional
         Object with the bounds ``lower`` and ``upper``, shape (ndim,), such as an `UpdatingProblem`.
     lower, upper : array_like, shape (ndim,), optional
-        The bounds, which replace those of `density`. Without bounds, candidates may lie where the log-probability
-        is -inf.
+        Bounds that replace those of `density`. Without bounds, candidates may lie where the log-probability is
+        -inf.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class MixtureMove(Move):
         self._otherwise = StretchMove()
 
     def propose(self, model: Model, state: State) -> tuple[State, BoolArray]:
-        """Move every walker once; return emcee's state, and a mask of the walkers that moved, shape (walkers,)."""
+        """Propose a move for every walker; return emcee's new state and a mask of moved walkers, (walkers,)."""
         n = len(state.coords)
         half = np.arange(n) % 2
         model.random.shuffle(half)
@@ -99,12 +99,12 @@ class MixtureMove(Move):
     def candidates(
         self, s: FloatArray, c: FloatArray, log_prob: FloatArray, random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return candidates x* for the walkers x, and the logarithms of their acceptance factors q(x)/q(x*).
+        """Return candidates x* for the walkers x, and the log acceptance factors log q(x)/q(x*).
 
         Parameters
         ----------
         s, c : ndarray, shape (n, ndim), (m, ndim)
-            Positions of the walkers to be moved, and of the other walkers.
+            Positions of the walkers that move, and of the other walkers.
         log_prob : ndarray, shape (m,)
             Log-probabilities of the other walkers.
         random : RandomState
@@ -112,6 +112,7 @@ class MixtureMove(Move):
         Returns
         -------
         q : ndarray, shape (n, ndim)
+            The candidates.
         factor : ndarray, shape (n,)
         """
         proposal = self.frozen or Proposal.fit_points(c, log_prob, self.lower, self.upper)
@@ -123,7 +124,7 @@ class MixtureMove(Move):
         return q, proposal.log_density(s) - proposal.log_density(q)
 
     def tune(self, state: State, accepted: BoolArray) -> None:
-        """Learn from the last step; emcee calls this method if ``tune=True``."""
+        """Add the last step to the points of the next fit; emcee calls this method if ``tune=True``."""
         self._seen.append((state.coords.copy(), state.log_prob.copy()))
         steps = len(self._seen)
         doublings = np.log2(steps / _FIRST_FIT)
@@ -137,7 +138,7 @@ class MixtureMove(Move):
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A mixture in the coordinates u = (theta − offset)/scale, which are of order one.
+    """Proposal density: a mixture in the scaled coordinates u = (theta − offset)/scale, which are of order one.
 
     Attributes
     ----------
@@ -153,10 +154,10 @@ class Proposal:
     def fit_points(
         cls, position: FloatArray, log_prob: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> Proposal | None:
-        """Return the proposal fitted to points; None if there are too few of them or they do not span the space.
+        """Fit a proposal to points (n, ndim); return None if they are too few or do not span the space.
 
-        Coordinates with two finite bounds are scaled by the distance between the bounds, all others by the
-        standard deviation of the points.
+        A coordinate with two finite bounds is scaled by the distance between them; any other coordinate is scaled
+        by the standard deviation of the points.
         """
         ndim = position.shape[1]
         near = np.isfinite(log_prob)
@@ -180,11 +181,11 @@ class Proposal:
         return None
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` independent draws, shape (n, ndim)."""
+        """Return `n` independent draws of theta, shape (n, ndim)."""
         return self.offset + self.scale * self.mixture.draw(rng, n)
 
     def log_density(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density at points (n, ndim) up to a constant, shape (n,); -inf outside the bounds."""
+        """Return the log-density at theta (n, ndim) up to a constant, shape (n,); -inf outside the bounds."""
         u, warp = (theta - self.offset) / self.scale, self.mixture.warp
         inside, _ = find_inside(u, warp.lower, warp.upper)
         found = np.full(len(u), -np.inf)

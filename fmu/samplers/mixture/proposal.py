@@ -1,4 +1,4 @@
-"""A mixture of truncated Gaussians, fitted to evaluations of a log-density."""
+"""Mixtures of truncated Gaussians, fitted to evaluations of a log-density."""
 
 from __future__ import annotations
 
@@ -44,17 +44,19 @@ _FIELDS = ("position", "log_prob", "gradient", "hessian")
 
 
 class Mixture:
-    """A normalised mixture of Gaussians truncated to a box, each with wider copies.
+    """A normalised mixture of Gaussians truncated at the bounds.
+
+    Each component is one Gaussian with wider copies of itself, which share the component's weight.
 
     Parameters
     ----------
     quadratics : sequence of Quadratic
-        The log-densities of the components, in the coordinates of `warp`.
+        Log-densities of the components, in the coordinates of `warp`.
     weights : array_like, shape (components,)
-        Positive weights, which are normalised here.
+        Positive weights; they are normalised here.
     warp : Warp
     wide : float
-        Share of the weight of each component that goes to its wider copies.
+        Fraction of each component's weight that goes to its wider copies.
     """
 
     def __init__(
@@ -76,7 +78,7 @@ class Mixture:
 
     @classmethod
     def of_arrays(cls, arrays: Tree, lower: FloatArray, upper: FloatArray) -> Mixture:
-        """Return the mixture stored in `arrays`."""
+        """Return the mixture defined by the result of `arrays`, truncated at `lower` and `upper`."""
         quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
         covariances = [None if np.isnan(c).any() else c for c in arrays["covariance"]]
         quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, covariances, strict=True)]
@@ -84,7 +86,10 @@ class Mixture:
         return cls(quadratics, arrays["weights"], warp, float(arrays["wide"]))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the mixture as a dict of arrays with one row per component; a missing covariance is NaN."""
+        """Return the arrays that define the mixture, by name, with one row per component.
+
+        A component without a covariance has NaN.
+        """
         found = {name: np.array([vars(q)[name] for q in self.quadratics]) for name in _FIELDS}
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
         found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
@@ -92,21 +97,21 @@ class Mixture:
         return found | {"weights": self._given, "bent": self.warp.bent.astype(float), "wide": np.array(self.wide)}
 
     def settings(self) -> Tree:
-        """Return the settings with which a `MixtureSampler` uses this mixture, as a dict."""
+        """Return the `MixtureSampler` settings, by name, that make it use this mixture."""
         weights, bent = tuple(self.weights.tolist()), tuple(self.warp.bent.tolist())
         return {"components": self.quadratics, "weights": weights, "bent": bent, "wide": self.wide}
 
     @property
     def gaussians(self) -> Mixture:
-        """The mixture itself, because further fits can improve it."""
+        """The mixture itself, because further fits can refine it (a `CurvedMixture` has None here)."""
         return self
 
     def with_wide(self, wide: float) -> Mixture:
-        """Return the mixture with the share of the wider copies changed to `wide`."""
+        """Return a copy whose wider copies take the fraction `wide` of each component's weight."""
         return Mixture(self.quadratics, self._given, self.warp, wide)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` independent draws, shape (n, ndim)."""
+        """Return `n` independent draws within the bounds, shape (n, ndim)."""
         part = rng.choice(len(self._parts), size=n, p=self._shares)
         x = np.empty((n, len(self.warp.lower)))
         for k in np.unique(part):
@@ -114,7 +119,7 @@ class Mixture:
         return self.warp.to_u(x)
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the weighted mean of the covariances of the components, (ndim, ndim), each from `n` draws."""
+        """Return the weighted mean of the components' covariances, (ndim, ndim), each estimated from `n` draws."""
         ndim = len(self.warp.lower)
         total = 1e-12 * np.eye(ndim)
         for k, weight in enumerate(self.weights):
@@ -123,11 +128,11 @@ class Mixture:
         return total
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the normalised log-density at points u (n, ndim) inside the box, shape (n,)."""
+        """Return the normalised log-density, shape (n,), at points u (n, ndim) within the bounds."""
         return np.asarray(logsumexp(self._by_part(self.warp.to_x(u)), axis=0)) - self.warp.log_stretch(u)
 
     def responsibilities(self, u: FloatArray) -> FloatArray:
-        """Return the probability that each point came from each component, shape (components, n)."""
+        """Return the probability that each component produced each point, shape (components, n)."""
         by_part = self._by_part(self.warp.to_x(u))
         by_component = [logsumexp(by_part[self._of == k], axis=0) for k in range(len(self.quadratics))]
         return np.asarray(np.exp(by_component - logsumexp(by_part, axis=0)))
@@ -157,10 +162,10 @@ class Points:
 
     @classmethod
     def weigh_draws(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
-        """Return draws from a density q as points with weights P/q, with the largest weights truncated.
+        """Return draws from a density q as points with importance weights P/q, the largest of them truncated.
 
-        If a few draws have nearly all the weight, the weights are raised to a power below 1. The fit is then wider
-        than P, and the next draws represent P better.
+        Draws without a finite weight are left out. If a few draws have nearly all the weight, the weights are
+        raised to a power below 1. A fit to the points is then wider than P, so that the next draws cover P better.
         """
         log_w = log_prob - log_density
         ok = np.isfinite(log_w)
@@ -174,22 +179,22 @@ class Points:
         return float(_effective_size(self.weight))
 
     def every_other(self, first: int) -> Points:
-        """Return every second point, from index `first` on."""
+        """Return every second point, starting at index `first`."""
         half = slice(first, None, 2)
         gradient = None if self.gradient is None else self.gradient[half]
         return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
 
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return the points in the coordinates x of `warp`, the log-densities of x, and the gradients or None."""
+        """Return the points' warped coordinates x, their log-densities in x, and their gradients in x or None."""
         log_prob = self.log_prob + warp.log_stretch(self.position)
         slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
         return warp.to_x(self.position), log_prob, slope
 
     def effective_share(self, log_density: FloatArray) -> float:
-        """Return the effective share of draws from a density q: Kish's effective size per draw.
+        """Estimate the effective sample size per draw (Kish) of importance sampling from a density q.
 
-        It is estimated from these points. With r = log P − log q, it is 1/(E[eʳ] E[e⁻ʳ]), with expectations over
-        P.
+        `log_density` is log q at these points, shape (n,). With r = log P − log q, the estimate is 1/(E[eʳ]
+        E[e⁻ʳ]), where the expectations are over P.
         """
         r = self.log_prob - log_density
         w = np.log(np.maximum(self.weight, 1e-300) / self.weight.sum())
@@ -197,14 +202,14 @@ class Points:
 
 
 def fit_mixture(points: Points, start: Mixture) -> Mixture:
-    """Return the mixture fitted to a log-density, starting from a mixture close to the log-density.
+    """Fit a mixture to a log-density, starting from the mixture `start`, which must already be close to it.
 
-    Coordinates are bent if this brings the log-density closer to a quadratic. In a few expectation–maximisation
-    steps, the quadratic of each component is fitted to the points, weighted by the probability that they came from
-    it (its responsibility). The weight of the component is the sum of its responsibilities. A component with too
-    few points, such as a maximum with a few percent of the probability, stays unchanged. Components are split as
-    long as the mixture is not good and there are enough points. Where this does not help, as along a bent ridge,
-    components take the mean and the covariance of their points instead.
+    1. Coordinates are warped if this makes the log-density more nearly quadratic.
+    2. In a few EM sweeps, each component's quadratic is fitted to the points, weighted by its responsibilities,
+       that is the probabilities that it produced each point. Their sum is the component's weight. A component with
+       too few points, such as a maximum with a few percent of the probability, stays unchanged.
+    3. Components are split while the fit is not good and there are enough points. 4. If the fit is still poor, as
+    along a curved ridge, components take their points' mean and covariance instead.
     """
     responsibility = start.responsibilities(points.position)
     warp = _choose_warp(points, responsibility, start.warp)
@@ -229,16 +234,16 @@ def fit_mixture(points: Points, start: Mixture) -> Mixture:
 
 
 def _effective_size(weight: FloatArray) -> FloatArray:
-    """Return Kish's effective number of points, shape (...), given weights (..., n)."""
+    """Return Kish's effective number of points, shape (...), for weights (..., n)."""
     of_largest = weight / np.maximum(weight.max(axis=-1, keepdims=True), 1e-300)
     return np.asarray(of_largest.sum(axis=-1) ** 2 / np.maximum(np.sum(of_largest**2, axis=-1), 1e-300))
 
 
 def refit_mixture(points: Points, start: Mixture) -> Mixture:
-    """Return the mixture fitted to a log-density, or `start` if cross-validation on few points shows no gain.
+    """Fit a mixture to a log-density; return `start` if cross-validation on few points shows no gain.
 
-    A quadratic fitted to hardly more points than it has coefficients can be far off elsewhere. With so few points,
-    a fit to half of them must therefore suit the other half better than `start` does.
+    A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
+    few, a fit to either half must therefore suit the other half better than `start` does.
     """
     n = n_coefficients(points.position.shape[1])
     if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
@@ -248,7 +253,7 @@ def refit_mixture(points: Points, start: Mixture) -> Mixture:
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
-    """Return the gain in effective share over `start` if a fit to half of the points is tested on the others."""
+    """Return the gain over `start` in ESS per draw when a fit to half of the points is tested on the others."""
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):
@@ -258,7 +263,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 
 
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
-    """Return the warp that bends those coordinates for which this brings the log-density closer to a quadratic."""
+    """Return a warp of those coordinates whose warping makes the log-density more nearly quadratic."""
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
@@ -277,7 +282,7 @@ def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp
 def _measure_misfit(
     x: FloatArray, value: FloatArray, slope: FloatArray | None, weights: Iterable[FloatArray]
 ) -> float:
-    """Return the weighted sum of squared residuals of a log-density from quadratics, one per set of weights."""
+    """Return the weighted sum of squared residuals when one quadratic is fitted for each set of weights."""
     total = 0.0
     for w in weights:
         if w.sum() > 0:
@@ -294,9 +299,10 @@ def _settle_components(
     *,
     by_moments: bool = False,
 ) -> tuple[Mixture, float]:
-    """Return the best mixture after a few sweeps from responsibilities (components, n), and its effective share.
+    """Run a few EM sweeps from responsibilities (components, n); return the best mixture and its ESS per draw.
 
-    A component with too few points stays as in `before`, or is dropped.
+    A component with too few points keeps its quadratic from `before`, or is dropped if its weight is negligible.
+    With `by_moments`, components take the mean and covariance of their points instead of a fitted quadratic.
     """
     found: tuple[Mixture, float] | None = None
     x, value, slope = points.under(warp)
@@ -328,7 +334,10 @@ def _settle_components(
 
 
 def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
-    """Return a list of responsibilities of 2, 4 and 8 groups, made by halving groups across their longest axes."""
+    """Divide the points into 2, 4 and 8 groups by halving groups across their longest axes.
+
+    Return one array of 0/1 responsibilities, shape (groups, n), per division; it stops early if points are few.
+    """
     x, found = warp.to_x(points.position), list[FloatArray]()
     groups = [np.ones(len(points.weight), dtype=bool)]
     needed = 2 * _POINTS * x.shape[1]
@@ -348,10 +357,11 @@ def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
 
 
 def _split_component(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
-    """Cut the worst component in two; return the responsibilities and the list of components.
+    """Split the worst component in two; return the responsibilities and the list of components.
 
-    The component is cut across the principal axis for which two quadratics leave the smallest residuals. Both
-    halves are None in the list of components. Return None if the component has too few points.
+    The component is split across the principal axis for which two quadratics leave the smallest residuals. Both
+    halves are None in the list, because they have no quadratic yet. Return None if the component has too few
+    points.
     """
     responsibility = mixture.responsibilities(points.position)
     r = points.log_prob - mixture.log_density(points.position)

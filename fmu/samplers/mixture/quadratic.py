@@ -1,4 +1,4 @@
-"""Quadratic approximations of a log-density: around a maximum, or fitted to evaluations."""
+"""Quadratic approximations of a log-density, expanded about a maximum or fitted to evaluations."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ neighbouring point."""
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """Second-order expansion of log P at a point u₀: m(u) = log_prob + g·d − dᵀHd/2 with d = u − u₀.
+    """Second-order expansion of log P about a point u₀: m(u) = log_prob + g·d − dᵀHd/2 with d = u − u₀.
 
-    At a maximum on a bound, g does not vanish: the density decreases exponentially away from the wall.
+    At a maximum on a bound, g does not vanish: the density decreases exponentially away from the bound.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Quadratic:
     hessian : ndarray, shape (ndim, ndim)
         The negative Hessian H, positive semidefinite.
     covariance : ndarray, shape (ndim, ndim), optional
-        If the quadratic was fitted to points: the covariance of the points, whose weighted mean is u₀.
+        Covariance of the points to which the quadratic was fitted; u₀ is then their weighted mean.
     """
 
     position: FloatArray
@@ -47,24 +47,23 @@ class Quadratic:
     covariance: FloatArray | None = None
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return the values of m at points u (n, ndim), shape (n,)."""
+        """Return m at points u (n, ndim), shape (n,)."""
         d = u - self.position
         return self.log_prob + d @ self.gradient - 0.5 * np.einsum("ni,ij,nj->n", d, self.hessian, d)
 
     def proposal(self, lower: FloatArray, upper: FloatArray, temperature: float = 1.0) -> SequentialNormal:
-        """Return the Gaussian ∝ exp(m/temperature), truncated to the box."""
+        """Return the Gaussian ∝ exp(m/temperature), truncated at the bounds."""
         precision = definite(self.hessian)
         centre = self.position + np.linalg.solve(precision, self.gradient)
         return SequentialNormal(centre, precision / temperature, lower, upper)
 
     def proposals(self, lower: FloatArray, upper: FloatArray) -> list[SequentialNormal]:
-        """Return the Gaussian ∝ exp(m) truncated to the box, followed by one or two wider copies.
+        """Return the Gaussian ∝ exp(m) truncated at the bounds, followed by one or two wider copies.
 
-        The first copy is wider along all principal axes. The second copy is far wider, but only along axes on
-        which the density is hardly narrower than the box or the prior; it is omitted if there are none. If the
-        quadratic was fitted to points, the second copy has their covariance along the other axes. The widening is
-        limited so that the density at the centre of a copy stays above e^(-5/2) times the density of the Gaussian
-        there.
+        The first copy is wider along all principal axes. The second is far wider, but only along axes on which the
+        density is hardly narrower than the bounds or the prior; without such axes it is omitted. Along the other
+        axes it has the covariance of the fitted points, if there are any. At a copy's centre, its density is at
+        least e^(-5/2) times the density of the Gaussian there.
         """
         found = [self.proposal(lower, upper, t) for t in (1.0, _temperature(len(lower)))]
         centre, precision = self.position, definite(self.hessian)
@@ -81,7 +80,7 @@ class Quadratic:
 
 
 def definite(hessian: FloatArray) -> FloatArray:
-    """Return a symmetric matrix with its eigenvalues clipped; it and its inverse are then positive definite."""
+    """Clip the eigenvalues of a symmetric matrix so that it and its inverse are positive definite."""
     values, vectors = np.linalg.eigh(hessian)
     values = np.minimum(values, STEEPEST)
     values = np.maximum(values, max(FLATTEST, values[-1] / _CONDITION))
@@ -99,19 +98,19 @@ def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
 
 
 def n_coefficients(ndim: int) -> int:
-    """Return the number of coefficients of a quadratic in `ndim` coordinates."""
+    """Return the number of coefficients in a quadratic polynomial of `ndim` coordinates."""
     return (ndim + 1) * (ndim + 2) // 2
 
 
 def fit_quadratic(
     u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
 ) -> Quadratic:
-    """Return the weighted least-squares fit of a quadratic to log-densities and their gradients.
+    """Fit a quadratic to log-densities, and to their gradients if available, by weighted least squares.
 
-    The fit uses coordinates in which the weighted points have unit covariance. With fewer points than
-    coefficients, or along a coordinate between two close bounds, the points hardly determine the curvature. Such
-    curvatures are pulled towards those of a Gaussian with the covariance of the points, and the precision matrix
-    is made positive definite.
+    The fit uses coordinates in which the weighted points have unit covariance. The points hardly determine a
+    curvature if they are fewer than the coefficients, or along a coordinate between two close bounds. Such
+    curvatures are shrunk towards a Gaussian with the points' covariance, and the precision matrix is made positive
+    definite.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ def fit_quadratic(
     log_prob, weight : ndarray, shape (n,)
         Finite log-densities; weights that are not all zero.
     slope : ndarray, shape (n, ndim), optional
-        Gradients of the log-density, with the same weight as the log-densities in these coordinates.
+        Gradients of the log-density, with the same weights as the log-densities in these coordinates.
     """
     z, mean, L = standardise(u, weight)
     c = coefficients(z, log_prob, weight, None if slope is None else slope @ L)[0]
@@ -130,10 +129,10 @@ def fit_quadratic(
 
 
 def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like: FloatArray) -> Quadratic:
-    """Climb towards a maximum by finite differences; return the quadratic around the highest point found.
+    """Climb towards a maximum without gradients; return the quadratic about the highest point found.
 
-    The climb takes at most 8 Newton steps, along axes that are scaled by the curvatures found so far. Each step
-    takes 2 ndim + 1 evaluations and no gradients. The quadratic has no mixed second derivatives along these axes.
+    The climb takes at most 8 Newton steps with finite differences, along axes scaled by the curvatures found so
+    far. Each step costs 2 ndim + 1 evaluations. The quadratic has no mixed second derivatives along these axes.
 
     Parameters
     ----------
@@ -141,7 +140,7 @@ def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like:
         Returns log-densities (n,), which may be -inf, at points (n, ndim).
     start : ndarray, shape (ndim,)
     like : ndarray, shape (ndim, ndim)
-        A precision matrix whose Cholesky factor gives the initial axes.
+        Precision matrix whose Cholesky factor gives the initial axes.
     """
     x, axes = start, np.linalg.inv(np.linalg.cholesky(definite(like))).T
     top, highest = start, -np.inf
@@ -163,13 +162,13 @@ def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like:
 
 
 def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
-    """Return the quadratic log-density of a Gaussian with the mean and covariance of weighted points (n, ndim)."""
+    """Return the log-density of a Gaussian that has the mean and covariance of weighted points u (n, ndim)."""
     _, mean, L = standardise(u, weight)
     return Quadratic(mean, 0.0, np.zeros_like(mean), np.linalg.inv(L @ L.T), L @ L.T)
 
 
 def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return z, the mean and L, where u = mean + Lz and the weighted points z have unit covariance."""
+    """Return z, the mean and L such that u = mean + Lz and the weighted points z have unit covariance."""
     w = weight / weight.sum()
     mean = w @ u
     covariance = (w * (u - mean).T) @ (u - mean)
@@ -182,7 +181,7 @@ def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArr
 def coefficients(
     z: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Return the coefficients of the quadratic in standardised z, and the weighted mean squared residual.
+    """Return the coefficients of a quadratic in standardised z, and the weighted mean squared residual.
 
     The residual does not include the gradients. Normal equations are accurate enough, because z has unit
     covariance and `_PULL` limits their condition number to 1/_PULL².

@@ -1,4 +1,4 @@
-"""Approximate draws from a Gaussian truncated to a box, with the exact density of the draws."""
+"""Approximate draws from a Gaussian truncated at bounds, with their exact density."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _FAR_OUT = 1e7  # standard deviations beyond which the log of a normal's mass is
 
 
 class SequentialNormal:
-    """A distribution close to a Gaussian truncated to a box, even if the Gaussian is centred far outside the box.
+    """A distribution close to a truncated Gaussian, even if the Gaussian is centred far outside the bounds.
 
     With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal distribution with mean μ_i
-    and variance 1. It is truncated where u_i would leave the box, given the previous z_j (Geweke, Hajivassiliou
-    and Keane). The means μ are the minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds
-    the ratio of the Gaussian to q. The density q(u) of the draws is known for any μ.
+    and variance 1, truncated where u_i would leave its bounds, given the previous z_j (Geweke, Hajivassiliou and
+    Keane). The means μ are Botev's minimax tilting (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio
+    of the Gaussian to the density q of the draws. q(u) is known for any μ.
 
-    The coordinate that the box restricts most comes first; the next is the most restricted coordinate given the
-    expected values of the previous coordinates (Gibson, Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3).
-    The order matters: on the posterior of cantilever-young paired by shape it increases the effective share of the
-    draws from 0.29 to 0.97.
+    The most restricted coordinate comes first. Each next coordinate is the most restricted one, given the expected
+    values of the previous coordinates (Gibson, Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3). On the
+    posterior of cantilever-young paired by shape, this order raises the effective sample size per draw from 0.29
+    to 0.97.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class SequentialNormal:
     precision : ndarray, shape (ndim, ndim)
         Symmetric and positive definite.
     lower, upper : ndarray, shape (ndim,)
-        The box; infinite where there is no bound.
+        Bounds; infinite where there is none.
     """
 
     def __init__(self, mean: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
@@ -51,7 +51,7 @@ class SequentialNormal:
         self.tilt = expected if is_free else self._minimax(expected)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws inside the box, shape (n, ndim)."""
+        """Return `n` draws within the bounds, shape (n, ndim)."""
         z = np.zeros((n, len(self.mean)))
         for i, tilt in enumerate(self.tilt):
             a, b = self._limits(i, z)
@@ -61,7 +61,7 @@ class SequentialNormal:
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the log-density of the draws at points u (n, ndim) inside the box, shape (n,)."""
+        """Return the log-density of the draws, shape (n,), at points u (n, ndim) within the bounds."""
         z = np.linalg.solve(self.L, (u[:, self.order] - self.mean).T).T
         log_q = -0.5 * np.sum((z - self.tilt) ** 2, axis=1)
         log_q -= np.sum(np.log(np.diag(self.L))) + len(self.mean) * _LOG_ROOT_2PI
@@ -85,7 +85,7 @@ class SequentialNormal:
         return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
 
     def _minimax(self, start: FloatArray) -> FloatArray:
-        """Return the minimax tilting μ, shape (ndim,), found as a saddle point; zeros if the search fails."""
+        """Return the minimax tilting μ, shape (ndim,), which is a saddle point; zeros if the search fails."""
         from scipy.optimize import root
 
         n = len(start)
@@ -93,7 +93,7 @@ class SequentialNormal:
         lower, upper = ((limit - self.mean) / np.diag(self.L) for limit in (self.lower, self.upper))
 
         def tilt_coordinates(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Return the μ for which z is stationary, and the mean of each truncated normal relative to its μ."""
+            """Return the μ for which z is stationary, and each truncated normal's mean minus its μ."""
             before = unit @ z - z
             a, b = lower - before, upper - before
             tilt, excess = np.zeros(n), np.zeros(n)
@@ -109,7 +109,7 @@ class SequentialNormal:
 def _order_coordinates(
     mean: FloatArray, covariance: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
-    """Return the order of the coordinates, and the expected z of each given the previous coordinates."""
+    """Return the coordinate order, and the expected z of each coordinate given the previous ones."""
     left, order, z = list(range(len(mean))), [], np.zeros(len(mean))
     # m and C are conditional on the coordinates taken so far, at expected values: a pivoted Cholesky factorisation
     m, C = mean.copy(), covariance.copy()
@@ -127,9 +127,9 @@ def _order_coordinates(
 
 
 def _mean_of_cut_normal(a: float, b: float) -> float:
-    """Return the mean of the standard normal truncated to [a, b]; NaN if there is no mass between a and b.
+    """Return the mean of a standard normal truncated to [a, b], or NaN if it has no mass there.
 
-    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail, it is taken as the limit with the higher density.
+    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail it equals the limit with the higher density.
     """
     low, high = (-b, -a) if a > 0 else (a, b)
     if -math.inf < high < -_FAR_OUT:
@@ -143,7 +143,7 @@ def _mean_of_cut_normal(a: float, b: float) -> float:
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return log(Φ(b) − Φ(a)), avoiding cancellation in both tails."""
+    """Return the log of a standard normal's mass in [a, b], log(Φ(b) − Φ(a)), without cancellation in tails."""
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
     # the limits may be so close together, or so far out, that there is no mass between them
@@ -153,7 +153,7 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
-    """Return the quantiles, at probabilities `p`, of the standard normal truncated to [a, b]."""
+    """Return quantiles of the standard normal truncated to [a, b], at probabilities `p`."""
     flip = a > 0
     low, high = np.where(flip, -b, a), np.where(flip, -a, b)
     with np.errstate(divide="ignore"):

@@ -1,4 +1,4 @@
-"""Logarithmic coordinates in which skewed log-densities are closer to quadratic."""
+"""Logarithmic coordinates in which skewed log-densities are more nearly quadratic."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _BEND = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """Coordinates x in which skewed posteriors are nearly Gaussian: log(1 + (u − lower)/s) if bent, else u.
+    """Coordinate transformation that makes skewed posteriors nearly Gaussian: x = log(1 + (u − lower)/s) or x = u.
 
-    Near the lower bound a bent x is linear in u, so a posterior at the bound keeps its shape. Far from the bound x
-    is logarithmic in u, and log-normal posteriors and the tails of inferred standard deviations become Gaussian.
-    The length s is `_BEND`.
+    The logarithm applies to the coordinates marked in `bent`; s is `_BEND`. Near the lower bound x is linear in u,
+    so a posterior at the bound keeps its shape. Far from it x is logarithmic in u, so log-normal posteriors and
+    the tails of inferred standard deviations become Gaussian.
 
     Attributes
     ----------
     lower, upper : ndarray, shape (ndim,)
-        The box of u.
+        Bounds of u.
     bent : ndarray of bool, shape (ndim,)
-        Mask of the bent coordinates, which need a finite lower bound.
+        Mask of the logarithmic coordinates, which need a finite lower bound.
     """
 
     lower: FloatArray
@@ -34,18 +34,18 @@ class Warp:
     bent: BoolArray
 
     def to_x(self, u: FloatArray) -> FloatArray:
-        """Return the coordinates x of points u, both of shape (..., ndim)."""
+        """Return the coordinates x of points u; both have shape (..., ndim)."""
         with np.errstate(invalid="ignore"):  # inf - (-inf) in coordinates that are not bent
             return np.where(self.bent, np.log1p((u - self.lower) / _BEND), u)
 
     def to_u(self, x: FloatArray) -> FloatArray:
-        """Return the points u of coordinates x, clipped to the box, both of shape (..., ndim)."""
+        """Return the points u with coordinates x, clipped to the bounds; both have shape (..., ndim)."""
         with np.errstate(over="ignore", invalid="ignore"):
             u = np.where(self.bent, self.lower + _BEND * np.expm1(np.where(self.bent, x, 0.0)), x)
         return np.clip(u, self.lower, self.upper)
 
     def stretch(self, u: FloatArray) -> FloatArray:
-        """Return du/dx of every coordinate at points u, shape (..., ndim)."""
+        """Return the derivatives du/dx of each coordinate at points u, shape (..., ndim)."""
         return np.where(self.bent, _BEND + u - np.where(self.bent, self.lower, 0.0), 1.0)
 
     def log_stretch(self, u: FloatArray) -> FloatArray:
@@ -53,7 +53,7 @@ class Warp:
         return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
 
     def quadratic(self, of_u: Quadratic) -> Quadratic:
-        """Return the second-order expansion of the log-density of x at the same point, given `of_u` for u."""
+        """Convert the second-order expansion of a log-density in u to the expansion of the log-density in x."""
         away = self.stretch(of_u.position)
         bent = self.bent.astype(float)
         return Quadratic(
@@ -65,7 +65,7 @@ class Warp:
         )
 
     def straighten(self, of_x: Quadratic) -> Quadratic:
-        """Return the second-order expansion of the log-density of u, given `of_x` for x; undoes `quadratic`."""
+        """Convert the second-order expansion of a log-density in x to u; the inverse of `quadratic`."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
         slope = of_x.gradient - self.bent

@@ -1,4 +1,4 @@
-"""The warm-up of the mixture sampler: choice of steps, fits of the mixture, and search for missed maxima.
+"""Warm-up of the mixture sampler: it chooses steps, fits the mixture, and searches for missed maxima.
 
 Reading order: `local_draws`, `unknown_maxima`, `rounds`; then `tuner`.
 """

@@ -20,7 +20,7 @@ _LEAST_MOVE = 1e-8  # smallest extent of draws that have moved, in scaled units
 
 
 class Evaluated(NamedTuple):
-    """Points (n, ndim) with their log-densities (n,) and gradients (n, ndim), which are NaN if missing."""
+    """Points (n, ndim) with their log-densities (n,) and gradients (n, ndim); missing gradients are NaN."""
 
     position: FloatArray
     log_prob: FloatArray
@@ -28,17 +28,17 @@ class Evaluated(NamedTuple):
 
     @classmethod
     def none(cls, ndim: int) -> Evaluated:
-        """Return an empty set of points in `ndim` coordinates."""
+        """Return an empty set of points with `ndim` coordinates."""
         return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
 
     def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
-        """Return these points followed by further points; gradients are NaN if not given."""
+        """Return these points followed by the given ones; gradients that are not given become NaN."""
         more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
 def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
-    """Return a mixture fitted to the later half of the local draws, with one component per group of chains.
+    """Fit a mixture to the later half of the local draws, with one initial component per group of chains.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:
-    """Return the index of each chain's group, shape (chains,), given draws u (steps, chains, ndim).
+    """Group chains that are near the same maximum; return each chain's group index, shape (chains,).
 
-    Chains at separated maxima are in different groups. Two chains are in the same group if the distance between
-    their means is at most `_APART` standard deviations along the line between the means.
+    The draws u have shape (steps, chains, ndim). Two chains belong to one group if their means are at most
+    `_APART` standard deviations apart, measured along the line between the means.
     """
     mean = u.mean(axis=0)
     group = np.arange(len(mean))
@@ -81,11 +81,11 @@ def groups_of_chains(u: FloatArray) -> IntArray:
 
 
 def _has_moved(u: FloatArray) -> bool:
-    """Return True if the draws (n, ndim) contain enough distinct points to give a covariance."""
+    """Return True if the draws (n, ndim) contain enough distinct points to estimate a covariance."""
     return len(np.unique(u, axis=0)) > u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
 
 
 def first_warp(density: LogDensity) -> Warp:
-    """Return the initial warp, which bends the coordinates that have a lower bound but no upper bound."""
+    """Return the initial warp, which applies to coordinates with a lower bound but no upper bound."""
     bent = np.isfinite(density.lower) & ~np.isfinite(density.upper)
     return Warp(density.lower, density.upper, bent)

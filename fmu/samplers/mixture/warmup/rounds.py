@@ -1,4 +1,4 @@
-"""Fits of a mixture to a bent density in rounds; each fit uses the candidates of all rounds so far."""
+"""Adaptive importance sampling of a curved density: each round's mixture is fitted to all earlier candidates."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _FEWEST = 200
 
 
 class Rounds:
-    """Candidates of several rounds, weighted over the mixtures of all rounds (Cornuet et al. 2012).
+    """Candidates from several rounds, weighted with the mixtures of all rounds (Cornuet et al. 2012).
 
     Attributes
     ----------
     target : Target
     position : ndarray, shape (n, ndim)
-        The candidates with a finite log-density.
+        Candidates with a finite log-density.
     log_prob : ndarray, shape (n,)
     mixtures : list
-        The mixture of each round; each but the first is fitted to the previous rounds.
+        The mixture used in each round; every mixture after the first is fitted to the earlier rounds.
     counts, found : list of int
-        For each round, the number of candidates, and of those with a finite log-density.
+        Candidates drawn in each round, and how many of them had a finite log-density.
     n_solves : int
-        Number of evaluations of all rounds so far.
+        Number of evaluations in all rounds so far.
     """
 
     def __init__(self, target: Target) -> None:
@@ -52,7 +52,7 @@ class Rounds:
         self._by_mixture = np.empty((0, 0))
 
     def draw(self, mixture: CurvedMixture, rng: np.random.Generator, n: int) -> None:
-        """Draw a round of `n` candidates from a mixture, and evaluate the candidates inside the box."""
+        """Add a round: draw `n` candidates from `mixture` and evaluate those within the bounds."""
         u = mixture.draw(rng, n)
         found = self.target.evaluate(u)
         self.n_solves += int(found.n_solves.sum())
@@ -68,19 +68,19 @@ class Rounds:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Log-weights of the candidates up to a constant, shape (n,); the largest weights are truncated."""
+        """Log importance weights of the candidates up to a constant, shape (n,), with the largest truncated."""
         return cut_largest(self.log_ratio)
 
     @property
     def log_ratio(self) -> FloatArray:
-        """Log-weights of the candidates up to a constant, shape (n,), as they are."""
+        """Log importance weights of the candidates up to a constant, shape (n,), before truncation."""
         return self.log_prob - sum_densities(self._by_mixture, self.counts)
 
     def fit_mixture(self) -> CurvedMixture:
-        """Return the mixture fitted to all candidates; raise LinAlgError if the candidates do not span the space.
+        """Fit a mixture to all candidates; raise LinAlgError if they do not span the space.
 
         If a few candidates have nearly all the weight, the weights are raised to a power below 1. The mixture is
-        then wider than the density, and the next round represents the density better.
+        then wider than the density, so that the next round covers it better.
         """
         log_w = self.log_weight
         log_w = even_out(log_w, min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)), _MILDER)
@@ -88,12 +88,11 @@ class Rounds:
         return fit_curved(self.position, weight, self.target.lower, self.target.upper)
 
     def efficiency(self, k: int) -> float:
-        """Return the effective number of draws per candidate of an independence sampler with mixture k.
+        """Return the effective sample size per candidate of an independence sampler that uses mixture k.
 
-        The efficiency is 1/E[2/a(x) − 1], where a(x) is the acceptance rate of candidates at x, and the
-        expectation is over draws x from the density (Liu 1996, Statistics and Computing 6, 113-119). These draws
-        are resampled by weight from the candidates of all rounds, so a mixture is rated as poor if it misses a
-        region that another mixture covers.
+        The value is 1/E[2/a(x) − 1], where a(x) is the acceptance rate of candidates at x and x follows the
+        density (Liu 1996, Statistics and Computing 6, 113-119). The points x are resampled by weight from all
+        rounds' candidates, so a mixture that misses a region covered by another mixture is rated as poor.
         """
         first, own = int(sum(self.found[:k])), self.found[k]
         if not own:
@@ -110,9 +109,9 @@ class Rounds:
 def learn_in_rounds(
     target: Target, u: FloatArray, rng: np.random.Generator, most: int
 ) -> tuple[CurvedMixture | None, float, int]:
-    """Return a mixture fitted to a density, the efficiency of the mixture, and the number of evaluations taken.
+    """Fit a curved mixture in rounds; return the best one, its efficiency, and the number of evaluations.
 
-    The mixture is None if no round was drawn.
+    The efficiency is the effective sample size per candidate. The mixture is None if no round was drawn.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ def learn_in_rounds(
         Points where the density is high, such as the draws of local steps.
     rng : Generator
     most : int
-        Largest number of candidates.
+        Largest number of candidates in all rounds together.
     """
     rounds = Rounds(target)
     n, good = min(PER_ROUND, most), 0

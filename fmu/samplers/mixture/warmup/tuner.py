@@ -1,4 +1,4 @@
-"""The tuner of the mixture sampler, which fits the mixture during warm-up to all evaluations so far."""
+"""The mixture sampler's tuner, which refits the mixture to all evaluations during warm-up."""
 
 from __future__ import annotations
 
@@ -50,23 +50,24 @@ heavy tails badly."""
 
 
 class MixtureTuner:
-    """Tuner that repeatedly fits the mixture to all candidates so far, weighted over all mixtures so far.
+    """Tuner that repeatedly fits the mixture to all candidates so far, weighted with all mixtures so far.
 
-    If no component is known, up to half of the warm-up consists of local steps. The first fit uses the draws of
-    these steps, and their gradients if these were evaluated. If a chain or a candidate has found a maximum that
-    the mixture misses, a component is added there. After the first fit, local steps use a metric derived from the
-    covariance of the mixture.
+    If no components are given, up to half of the warm-up consists of local steps, and the first mixture is fitted
+    to their draws. If a chain or a candidate has found a maximum that the mixture misses, a component is added
+    there. After the first fit, local steps use a metric derived from the mixture's covariance.
 
-    If some chain still rarely accepts candidates after the first fits, local steps prevail: most steps are then
-    local, they learn a metric of their own from their draws, and further fits also use these draws. Candidates
-    prevail again once they are often accepted. If most chains rarely accept candidates, a `CurvedMixture` is
-    fitted in rounds of candidates as soon as the draws show the density roughly. It is kept if it is efficient
-    enough. It is also fitted if the density is infinite at a wall or has heavy tails.
+    If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps then
+    adapt a metric to their own draws, which later fits also use. Candidates take over again once they are often
+    accepted.
+
+    If most chains rarely accept candidates, a `CurvedMixture` is fitted in rounds, once there are enough local
+    draws. It replaces the mixture if it is efficient enough. It is also tried if the density is infinite at a
+    bound or has heavy tails.
 
     Parameters
     ----------
     sampler : MixtureSampler
-        The settings to complete.
+        Settings to complete.
     density : LogDensity
     chains, steps : int
         Numbers of chains and of warm-up steps.
@@ -96,12 +97,12 @@ class MixtureTuner:
 
     @property
     def mixture(self) -> Mixture | CurvedMixture | None:
-        """The mixture in use; None before the first fit."""
+        """The current mixture; None before the first fit."""
         return self.stages[-1] if self.stages else None
 
     @property
     def gaussians(self) -> Mixture | None:
-        """The mixture in use if it is a `Mixture`, which further fits can improve; else None."""
+        """The current mixture if further fits can refine it; None if it is curved or there is none yet."""
         return None if self.mixture is None else self.mixture.gaussians
 
     @property
@@ -110,7 +111,7 @@ class MixtureTuner:
         return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Learn from one step; return the number of evaluations that this took, shape (chains,), or None."""
+        """Learn from one step; return the evaluations that this cost, shape (chains,), or None if none."""
         self.done += 1
         if info.parts is not None:
             if self.local is not None:
@@ -143,7 +144,7 @@ class MixtureTuner:
         return spent
 
     def finish_learning(self) -> Sampler:
-        """Return the learnt settings."""
+        """Return the sampler settings with the fitted mixture and the tuned local steps."""
         if self.mixture is None:
             self._fit_to_draws()
         assert self.mixture is not None
@@ -153,7 +154,7 @@ class MixtureTuner:
         return replace(self.sampler, **learnt, local_steps=steps, jumps=jumps, local=local, adapt=False)
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         return {
             "done": self.done,
             "drawn": self.drawn._asdict(),
@@ -173,7 +174,7 @@ class MixtureTuner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another tuner returned."""
+        """Restore the state that another tuner's `state` returned."""
         self.done, self.first = state["done"], int(state["first"])
         self.walk = int(state["walk"][0]), float(state["walk"][1])
         self.is_bent, self.has_tried = bool(state["is_bent"]), bool(state["has_tried"])
@@ -196,20 +197,20 @@ class MixtureTuner:
         self._take_kernel()
 
     def _begin_with(self, mixture: Mixture | CurvedMixture) -> None:
-        """Use `mixture`, with local steps adapted to its covariance."""
+        """Make `mixture` the current mixture and adapt the local steps to its covariance."""
         self._take(mixture)
         self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
 
     def _fit_to_draws(self) -> None:
-        """Fit the first mixture to the draws of the local steps, and use it."""
+        """Fit the first mixture to the draws of local steps and make it the current mixture."""
         self._begin_with(fit_to_draws(self.visited, self.chains, self.density))
 
     def _fit(self, state: State) -> IntArray | None:
-        """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
+        """Fit the mixture to all candidates so far, weighted with all mixtures so far (Cornuet et al. 2012).
 
-        Maxima that the mixture misses are sought before the fit, because candidates near them would spoil it, and
-        again after the fit, because a fit may lose a maximum. Return the number of evaluations that this took,
-        shape (chains,), or None if there was nothing to fit.
+        Missed maxima are searched for before the fit, because candidates near them would spoil it, and again after
+        it, because a fit may lose a maximum. Return the evaluations that this cost, shape (chains,), or None if
+        there was nothing to fit.
         """
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
@@ -240,7 +241,7 @@ class MixtureTuner:
         return spent
 
     def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
-        """Return whichever mixture has the larger effective share for the draws of local steps."""
+        """Return the mixture with the larger effective sample size per draw on the draws of local steps."""
         u, log_prob, _ = self.walked
         points = Points(u, log_prob, np.ones(len(u)))
         shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
@@ -248,15 +249,15 @@ class MixtureTuner:
 
     @property
     def _has_walked(self) -> bool:
-        """Whether there were enough local steps and evaluations to show the density roughly."""
+        """Whether there are enough local steps and evaluations to show the density roughly."""
         return self.walk[0] >= _LEAST_WALK and self.walk[1] >= _WALK_SOLVES
 
     def _choose_steps(self, state: State) -> IntArray | None:
-        """Let local steps prevail if some chain rarely accepts candidates, until all chains often accept them.
+        """Make most steps local if some chain rarely accepts candidates, until all chains often accept them.
 
-        If most chains rarely accept candidates, or the density is infinite at a wall or has heavy tails, fit a
-        curved mixture, provided that there are enough local draws. Return the number of evaluations that this
-        took, shape (chains,), or None.
+        Fit a curved mixture if most chains rarely accept candidates, or if the density is infinite at a bound or
+        has heavy tails, provided that there are enough local draws. Return the evaluations that this cost, shape
+        (chains,), or None if there were none.
         """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
             return None
@@ -272,18 +273,18 @@ class MixtureTuner:
         return None
 
     def _switch(self) -> None:
-        """Let local steps prevail from now on."""
+        """Make most steps local from now on."""
         self.switched, self.walk = self.done, (0, 0.0)
         self._prefer_local()
 
     @property
     def _can_learn(self) -> bool:
-        """Whether there are enough local draws to fit a curved mixture, and none has been fitted before."""
+        """Whether there are enough local draws to fit a curved mixture, and no such fit has been tried yet."""
         draws = self.walked if self.switched >= 0 else self.visited
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return all candidates so far with their weights; None if there are none or the mixture is curved."""
+        """Return all weighted candidates so far; None if there are none or the mixture is curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or not known.any():
@@ -291,7 +292,7 @@ class MixtureTuner:
         return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
 
     def _is_infinite(self, points: Points | None) -> bool:
-        """Return True if the candidates so far show that the density is infinite at a wall, unlike a Gaussian."""
+        """Return True if the candidates show that the density is infinite at a bound."""
         if points is None:
             return False
         shapes = fit_infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
@@ -312,10 +313,10 @@ class MixtureTuner:
         return not share >= _FITS_BADLY and measure_kurtosis(points.under(mixture.warp)[0], points.weight) > _HEAVY
 
     def _learn_curved(self, state: State) -> IntArray:
-        """Fit a curved mixture, starting from the draws of local steps.
+        """Fit a curved mixture to the draws of local steps, in rounds, and use it if it is efficient enough.
 
-        If candidates of the curved mixture are rarely accepted as well, let local steps prevail. Return the number
-        of evaluations that this took, shape (chains,).
+        Otherwise make most steps local if the density needs a curved mixture. Return the evaluations that this
+        cost, shape (chains,).
         """
         self.has_tried = True
         draws = self.walked if self.switched >= 0 else self.visited
@@ -333,9 +334,9 @@ class MixtureTuner:
         return spent
 
     def _prefer_local(self) -> None:
-        """Start local steps that learn their metric from their own draws, if enough steps remain.
+        """Let local steps adapt their metric to their own draws, if enough steps remain.
 
-        Otherwise the metric derived from the mixture stays in use.
+        Otherwise they continue with the metric derived from the mixture.
         """
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
@@ -343,7 +344,7 @@ class MixtureTuner:
             self.local = self.local_settings.tuner(self.density, self.chains, steps)
 
     def _cycle(self, wide: float) -> tuple[int, int]:
-        """Return the numbers of local steps and of candidates in each cycle."""
+        """Return the numbers of local steps and of candidates per cycle."""
         if self.switched >= 0:
             return _LOCAL_STEPS, 1
         if self.gaussians is None:
@@ -351,7 +352,7 @@ class MixtureTuner:
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
-        """Return the mixture with the final share of wider copies: `wide` if given, lower if the fit is good."""
+        """Return the mixture with its final fraction of wider copies: `wide` if given, less if the fit is good."""
         if self.sampler.wide is not None:
             return mixture.with_wide(self.sampler.wide)
         less = mixture.with_wide(LESS_WIDE)
@@ -383,7 +384,6 @@ class MixtureTuner:
 
 
 def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
-    """Return the sum of two arrays of evaluation counts, either of which may be None."""
     if one is None or other is None:
         return other if one is None else one
     return one + other

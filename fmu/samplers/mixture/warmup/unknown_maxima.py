@@ -1,4 +1,4 @@
-"""Search for maxima that lack a component in a mixture, at points where the density of the mixture is too low."""
+"""Search for maxima that the mixture misses, starting where the mixture's density is too low."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ _BETWEEN = np.arange(6) / 6.0  # relative positions on the line from the compone
 
 
 class Seen(NamedTuple):
-    """Points searched for maxima: candidates, then positions of the chains, then points before the first fit.
+    """Points at which the search looks for missed maxima.
+
+    They are candidates, followed by the chains' positions and then the points evaluated before the first fit.
 
     Attributes
     ----------
     position : ndarray, shape (n, ndim)
     log_prob : ndarray, shape (n,)
     log_q : ndarray, shape (n,)
-        Log-density of all candidates so far, up to a constant.
+        Log-density, up to a constant, of all candidates so far.
     candidates, chains : int
         Numbers of candidates and of chains.
     """
@@ -43,26 +45,26 @@ class Seen(NamedTuple):
 
     @property
     def is_chain(self) -> BoolArray:
-        """Whether each point is the present position of a chain, shape (n,)."""
+        """Mask of the points that are current chain positions, shape (n,)."""
         k = np.arange(len(self.position)) - self.candidates
         return np.asarray((k >= 0) & (k < self.chains))
 
 
 class NewMaximum(NamedTuple):
-    """A maximum, as a quadratic in unwarped coordinates, and its probability relative to the mixture's."""
+    """A maximum as a quadratic in unwarped coordinates, and its probability relative to the mixture's."""
 
     quadratic: Quadratic
     mass: float
 
 
 def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[list[NewMaximum], IntArray]:
-    """Return the list of maxima that a mixture misses, and the numbers of evaluations, shape (chains,).
+    """Return the maxima that a mixture misses, and the evaluations that the search cost, shape (chains,).
 
-    The search climbs from a point of `seen` on two conditions: log w = log P − log q is well above its median
-    there, and a valley separates the point from the component responsible for it. Positions of chains are checked
-    first, because a chain at a low maximum without a component would hardly leave it. All other points must have a
-    log-density close to that of the chains, and log w must also be well above its median for the candidates of all
-    mixtures so far. A maximum that earlier candidates showed to be minor is thus not climbed again.
+    The search climbs from a point of `seen` under two conditions. First, log w = log P − log q there is well above
+    its median. Second, a valley separates the point from the component most likely to have produced it. Chain
+    positions come first, because a chain at a low maximum without a component would hardly leave it. Any other
+    point must have a log-density close to the chains'. Its log w must also be well above the median when q
+    combines all mixtures so far, so that a maximum already known to be minor is not climbed again.
     """
     u, log_prob, log_q, n, _ = seen
     is_chain = seen.is_chain
@@ -106,13 +108,13 @@ def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
 
 
 class _Counted:
-    """Callable log-density of a target that counts the solves."""
+    """Callable log-density that counts its solves."""
 
     def __init__(self, target: Target) -> None:
         self.target, self.n_solves = target, 0
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return the log-densities at points u (n, ndim), shape (n,); -inf outside the box."""
+        """Return the log-densities at points u (n, ndim), shape (n,); -inf outside the bounds."""
         found = self.target.evaluate(u)
         self.n_solves += int(found.n_solves.sum())
         return found.log_prob
