@@ -1,4 +1,4 @@
-"""Convergence of a run: R-hat, effective sample size, verdict and remedy.
+"""Convergence of a run: R-hat, effective sample size (ESS), the verdict, and remedies.
 
 Reading order: effective, candidates, diagnostics, remedies, diagnosis.
 """

@@ -1,4 +1,4 @@
-"""Agreement of samplers of one posterior: differences of means and sds in Monte-Carlo standard errors."""
+"""Agreement between samplers of one posterior: differences in mean and sd, in Monte-Carlo standard errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CLOSE = 4.0
-"""Smaller differences, in standard errors, are attributed to chance: 1 in 16 000 exceeds this limit by chance."""
+"""Largest difference, in standard errors, that is attributed to chance; 1 in 16 000 exceeds it by chance."""
 
 
 class Agreement(NamedTuple):
@@ -31,12 +31,12 @@ class Agreement(NamedTuple):
     agrees : bool or None
         Whether the samplers agree; None if fewer than two can be compared.
     z : float
-        Largest difference of a mean or a standard deviation, in its Monte-Carlo standard errors; NaN without a
-        comparison.
+        Largest difference in a mean or standard deviation, divided by its Monte-Carlo standard error; NaN if
+        nothing was compared.
     sentence : str
-        The result in one sentence, with the largest difference.
+        One sentence that states the result and the largest difference.
     left_out : tuple of str
-        Runs that do not meet the criterion, and whose standard errors are therefore unreliable.
+        Runs that do not meet the convergence criterion, so that their standard errors are unreliable.
     """
 
     agrees: bool | None
@@ -46,17 +46,17 @@ class Agreement(NamedTuple):
 
 
 def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]) -> Agreement:
-    """Compare the posterior means and standard deviations of every two runs that meet the criterion.
+    """Compare posterior means and standard deviations between all pairs of runs that meet the criterion.
 
-    Their verdicts do not matter: if two runs each seem to have converged but differ, at least one of them is
-    wrong.
+    Only R-hat and ESS decide which runs are compared, not their verdicts: if two runs each seem to have converged
+    but differ, at least one of them is wrong.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of one posterior, by the names used in the sentence.
+        Traces of one posterior, keyed by the names to use in the sentence.
     summaries : mapping of str to pandas.DataFrame
-        ``summary(trace)`` of each trace, by the same names.
+        ``summary(trace)`` of each trace, under the same names.
     """
     sufficient = [name for name, table in summaries.items() if _suffices(traces[name], table)]
     left_out = tuple(name for name in traces if name not in sufficient)
@@ -83,13 +83,13 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
 
 
 def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
-    """Return True if R-hat and the effective sample sizes of a run meet the criterion."""
+    """Return True if a run's R-hat and effective sample sizes meet the convergence criterion."""
     return meets_criterion(
         float(np.max(table["rhat"].to_numpy())), fewest(table), trace["posterior"].sizes["chain"]
     )
 
 
 def _estimates(trace: xr.DataTree, table: pd.DataFrame) -> tuple[FloatArray, FloatArray]:
-    """Return the means and standard deviations, and their standard errors, each of shape (2, ndim)."""
+    """Return the means and standard deviations, and their standard errors; both have shape (2, ndim)."""
     errors = [mcse_sd(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]
     return table[["mean", "sd"]].to_numpy().T, np.array([table["mcse_mean"].to_numpy(), errors])

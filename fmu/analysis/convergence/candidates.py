@@ -1,6 +1,6 @@
-"""Whether a run had enough candidates of its mixture to visit every component.
+"""Check that a run drew enough candidates from its mixture to visit every component.
 
-A candidate is a point that is drawn from the mixture and proposed to a chain.
+A candidate is a point drawn from the mixture and proposed to a chain.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
 
 
 TIMES = 20
-"""Expected number of candidates required of each component; the actual number scatters by about a quarter."""
+"""Expected number of candidates that each component needs; the actual number scatters by about a quarter."""
 _IN_DOUBT = 0.1
-"""The warm-up may underestimate the share of a component by this factor."""
+"""Factor by which the warm-up may underestimate a component's weight."""
 
 
 class Candidates(NamedTuple):
-    """The candidates of a run after the warm-up.
+    """Number of candidates that a run drew after warm-up, and the number that it needs.
 
     Attributes
     ----------
     drawn, needed : int
         Number of candidates drawn, and number needed.
     share : float
-        The smallest weight of a component that is not negligible.
+        Smallest component weight that is not negligible.
     """
 
     drawn: int
@@ -43,13 +43,12 @@ class Candidates(NamedTuple):
 
 
 def candidates_of(trace: xr.DataTree) -> Candidates | None:
-    """Return the number of candidates that a run had and the number that it needs; None if it had none.
+    """Return the number of candidates that a run drew and the number that it needs; None if it drew none.
 
-    Chains visit a separate maximum through candidates of its component, and the weight of the component gives
-    their expected number. If this number is small, all chains may have missed a maximum that was found in the
-    warm-up, and neither R-hat nor effective sample sizes show it. Every component needs `TIMES` candidates. The
-    warm-up may have underestimated a weight: a weight below 1 % counts as 1 %. Components with a weight below 0.1
-    % are ignored.
+    Chains reach a separate maximum through candidates from its mixture component, and the component's weight gives
+    their expected number. If that number is small, every chain may have missed a maximum that warm-up found, and
+    neither R-hat nor ESS shows it. Every component therefore needs `TIMES` candidates. Since warm-up may have
+    underestimated a weight, weights below 1 % count as 1 %. Components with weights below 0.1 % are ignored.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ def candidates_of(trace: xr.DataTree) -> Candidates | None:
 
 
 def has_curved_mixture(trace: xr.DataTree) -> bool:
-    """Return True if the candidates of at least one group of chains came from a curved mixture."""
+    """Return True if any group of chains drew its candidates from a curved mixture."""
     if not has(trace, "sample_stats", CANDIDATE):
         return False
     components = [mixture.get("components") for mixture in _mixtures_of(trace)]
@@ -75,7 +74,7 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
 
 
 def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
-    """Return a list with the settings of each group's mixture, from which the draws were made."""
+    """Return the settings of the mixture from which each group of chains drew, one dict per group."""
     learnt = json.loads(trace.attrs["learnt"])
     if not learnt or int(trace.attrs["groups"]) == 1:
         return [learnt or json.loads(trace.attrs["settings"])]
@@ -83,6 +82,9 @@ def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
 
 
 def growth_for_candidates(trace: xr.DataTree) -> float:
-    """Return the factor by which the draws must grow to give enough candidates; at most 1 if there are enough."""
+    """Return the factor by which the number of draws must grow to give enough candidates; ≤ 1 if they suffice.
+
+    The factor is 0 if the run drew no candidates.
+    """
     found = candidates_of(trace)
     return 0.0 if found is None else found.needed / found.drawn

@@ -1,4 +1,4 @@
-"""Comparison of samplers: verdicts, reliability, and costs, also as multiples of the cost of a baseline."""
+"""Comparison of samplers: verdicts, errors and costs, also relative to the cost of a baseline sampler."""
 
 from __future__ import annotations
 
@@ -47,18 +47,18 @@ _ROWS = {
 def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
     """Compare the traces of several samplers on one problem.
 
-    The costs ``n_solves``, ``n_gradients`` and ``wall_s`` include the warm-up, and so do ``ess_per_solve`` and
-    ``ess_per_s``. The attributes of each trace give the counts without the warm-up. In ``ess_per_solve`` a solve
-    is a log-probability, and an exact gradient counts as ``gradient_cost`` solves.
+    The costs ``n_solves``, ``n_gradients``, ``wall_s``, ``ess_per_solve`` and ``ess_per_s`` include the warm-up;
+    the attributes of each trace give counts without it. In ``ess_per_solve`` a solve is one evaluation of the
+    log-probability, and an exact gradient counts as ``gradient_cost`` solves.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces by the names of the rows.
+        Traces keyed by row name.
     problem : UpdatingProblem, optional
-        The problem that was sampled. Its maxima are searched for, and a run that missed an important maximum has
-        not converged. Maxima stored in a trace, and regions found by other runs on the same posterior, are always
-        used.
+        The problem that was sampled. If given, its maxima are searched for, and a run that missed an important
+        maximum has not converged. Maxima stored in a trace, and regions that other runs on the same posterior
+        found, are always used.
 
     Returns
     -------
@@ -67,15 +67,15 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
         - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
         - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if any of them is NaN;
-        - ``mcse_over_sd_max``: largest ratio of the standard error of a posterior mean to the posterior sd;
-        - ``accept_rate``: share of the retained draws that differ from the previous position;
+        - ``mcse_over_sd_max``: largest ratio of a posterior mean's standard error to the posterior sd;
+        - ``accept_rate``: fraction of the retained draws that differ from the previous position;
         - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
         - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
-        - ``gradient_cost``: time of an exact gradient over that of a log-probability, measured at the end of the
-          run; NaN without gradients;
+        - ``gradient_cost``: time for an exact gradient divided by the time for a log-probability, measured at the
+          end of the run; NaN without gradients;
         - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of these costs;
         - the columns of `costs_side_by_side`: total solves until the common criterion and per effective draw, also
-          as multiples of the values of emcee.
+          relative to emcee.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
 
 class Judged(NamedTuple):
-    """The summary and the verdict of each of several runs on one posterior, and the table of `compare`."""
+    """Summaries and verdicts of several runs on one posterior, by name, and the table that `compare` returns."""
 
     summaries: Mapping[str, pd.DataFrame]
     verdicts: dict[str, Diagnosis]
@@ -102,7 +102,7 @@ def compare_runs(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> Judged:
-    """Return the summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
+    """Return the summaries, verdicts and comparison table of several runs; arguments as for `diagnose_all`."""
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
@@ -112,7 +112,7 @@ def compare_runs(
 
 
 def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, object]:
-    """Return one row of the comparison, as a dict from columns to values."""
+    """Return one row of the comparison table as a dict of column names to values."""
     import pandas as pd
 
     stats = trace["sample_stats"]
@@ -142,7 +142,7 @@ def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[
 def costs_side_by_side(
     traces: Mapping[str, xr.DataTree], grown: Mapping[str, Growth] | None = None
 ) -> pd.DataFrame:
-    """Return the cost of each sampler in solves, and as a multiple of the cost of `BASELINE`.
+    """Return the cost of each sampler in solves, both absolute and relative to the sampler `BASELINE`.
 
     Parameters
     ----------
@@ -155,14 +155,14 @@ def costs_side_by_side(
     pandas.DataFrame
         One row per trace:
 
-        - ``search_solves``: solves of the search for maxima, which all samplers share and which count in the cost
-          of each; zero if unknown;
+        - ``search_solves``: solves of the search for maxima, which all samplers share and which is part of each
+          sampler's cost; zero if unknown;
         - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01 and bulk
           and tail ESS were at least 400; NaN if this was never reached;
         - ``total_solves``: search, warm-up and all draws;
         - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter;
         - ``criterion_over_baseline``, ``per_ess_over_baseline``: ``criterion_solves`` and ``solves_per_ess`` over
-          those of the baseline; NaN without a baseline.
+          the baseline's values; NaN without a baseline.
     """
     grown = {name: growth(trace) for name, trace in traces.items()} if grown is None else grown
     search = _search(traces)
@@ -185,7 +185,7 @@ def costs_side_by_side(
 
 
 def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
-    """Return the costs as rows of text, one column per sampler; rows that are NaN for all samplers are skipped."""
+    """Return the costs as table rows of text, one column per sampler; rows without any value are left out."""
     rows = []
     for column, label in _ROWS.items():
         values = list(map(float, costs[column]))
@@ -196,7 +196,7 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 
 
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
-    """Return sentences on the cost at which each ensemble met the criterion and passed its further tests.
+    """Return sentences on the cost at which each ensemble met the criterion and passed its additional tests.
 
     The text is empty if no sampler is an ensemble sampler.
     """
@@ -215,21 +215,21 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
 
 
 def over_baseline(ratio: float) -> str:
-    """Return a ratio of costs as text, such as ``"0.85 ×"``; a dash if it is unknown."""
+    """Format a cost ratio, for example as ``"0.85 ×"``; return a dash for NaN."""
     return MISSING if np.isnan(ratio) else f"{fixed(ratio, 2) if ratio < 10 else significant(ratio, 2)} ×"
 
 
 def about_solves(solves: float) -> str:
-    """Return a number of solves as text, rounded to three digits; ``"not met"`` if it is NaN."""
+    """Format a number of solves with three significant digits; return ``"not met"`` for NaN."""
     if np.isnan(solves):
         return "not met"
     return whole(round(solves, 2 - int(np.log10(solves)))) if solves >= 100 else significant(solves)
 
 
 def _search(traces: Mapping[str, xr.DataTree]) -> float:
-    """Return the cost of the search for maxima in solves, zero if none is stored.
+    """Return the cost of the search for maxima in solves; zero if no trace stores it.
 
-    Gradients count at the cost measured in one of the runs.
+    Gradients are converted to solves at the cost measured in one of the runs.
     """
     known = next((m for m in map(maxima_of, traces.values()) if m is not None), None)
     if known is None:

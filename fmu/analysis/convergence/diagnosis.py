@@ -1,4 +1,4 @@
-"""The verdict on a run: whether it has converged, the reasons, and whether the model fits."""
+"""The verdict on a run: whether it converged, why not, and whether the model fits the data."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _SPARSE = (
     "prior, or search more, maxima=fmu.find_map(density, starts=1000)"
 )
 GROUP = "maxima"
-"""Group of a trace that stores the maxima known when the trace was made."""
+"""Name of the trace group that stores the maxima known when the trace was made."""
 
 
 @dataclass(frozen=True)
@@ -77,27 +77,27 @@ class Diagnosis:
     Attributes
     ----------
     converged : bool
-        Whether all tests passed.
+        Whether all convergence tests passed.
     reasons : tuple of str
-        Reasons why the run has not converged, one sentence each, the most serious first; empty if it has.
+        Why the run has not converged, one sentence per reason, the most serious first; empty if it has.
     warnings : tuple of str
-        Warnings about the model, whether or not the run has converged: failed checks (`fit`), parameters at their
-        bounds, shapes unlike the measured ones, a pairing that jumps. Also warnings about the data: parameters
-        that the data did not update, repeated tests that are not independent.
+        Warnings about the model and the data, whether or not the run converged: failed model checks (`fit`),
+        parameters at their bounds, mode shapes unlike the measured ones, a pairing that jumps, parameters that the
+        data did not update, repeated tests that are not independent.
     doubts_of_search : tuple of str
-        Reasons why there may be maxima that no chain visited, one sentence each; empty if the search for maxima
-        was complete. A run that misses a maximum can pass all tests, so that with such a doubt it has converged
-        only locally.
+        Why there may be maxima that no chain visited, one sentence per reason; empty if the search for maxima was
+        complete. A run that misses a maximum can pass all tests, so with any of these doubts it has converged only
+        locally.
     search : str
-        Where the search of a plain log-density began and what it found; else empty.
+        For a plain log-density: where the search began and what it found. Otherwise empty.
     stopped : str
-        If the run was stopped early, the number of draws or the limit, in words; else empty.
+        If the run was stopped early: the number of draws or the limit, in words. Otherwise empty.
     fit : ModelFit
         Whether the data contradict the model, and which checks could have failed; provisional if the run has not
         converged.
     few : str
-        A warning that fewer than four ensembles of plain emcee cannot exclude separate modes, and the remedy; else
-        empty.
+        A warning that fewer than four plain emcee ensembles cannot exclude separate modes, with the remedy.
+        Otherwise empty.
     """
 
     converged: bool
@@ -111,12 +111,12 @@ class Diagnosis:
 
     @property
     def searched(self) -> bool:
-        """Whether maxima that no chain visited are excluded, as far as a search can exclude them."""
+        """Whether the search for maxima left no doubt that the chains visited all of them."""
         return not self.doubts_of_search
 
     @property
     def state(self) -> str:
-        """``"converged"``; ``"converged locally"`` if other maxima are not excluded; or ``"not converged"``."""
+        """``"converged"``, ``"converged locally"`` if other maxima are not excluded, or ``"not converged"``."""
         if not self.converged:
             return NOT_CONVERGED
         return CONVERGED if self.searched else LOCALLY
@@ -128,7 +128,7 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The reasons; for a converged run, sentences on what its verdict does not cover."""
+        """The reasons; if the run converged, sentences on what the verdict does not cover."""
         said = self.reasons
         if self.converged and not self.few:
             said = self.doubts_of_search or ((self.search,) if self.search else ())
@@ -136,12 +136,12 @@ class Diagnosis:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The warnings that do not come from failed checks of the model."""
+        """Warnings other than failed model checks."""
         return tuple(warning for warning in self.warnings if warning not in self.fit.against)
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Reasons why probabilities from the draws are unreliable: no convergence, or a contradicted model."""
+        """Reasons to distrust probabilities computed from the draws: no convergence, or a contradicted model."""
         unfinished = () if self.converged else ("the draws have not converged",)
         return (*unfinished, f"the model is {self.fit.answer}") if self.fit.against else unfinished
 
@@ -160,7 +160,7 @@ class Diagnosis:
         return "".join(block(*one) for one in blocks)
 
     def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
-        """Return headings with their items: the verdict on the model with the failed checks, and the notes."""
+        """Return headings and their sentences: the verdict on the model with its failed checks, and the notes."""
         doubt = "" if self.converged else ", provisionally"
         blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.said)] if self.fit.checks else []
         return blocks + ([(NOTES, self.notes)] if self.notes else [])
@@ -172,19 +172,18 @@ def diagnose(
     problem: LogDensity | None = None,
     others: Mapping[str, xr.DataTree] | Iterable[xr.DataTree] = (),
 ) -> Diagnosis:
-    """Judge whether a run has converged, and if not, why; and whether the model fits the data.
+    """Judge whether a run has converged, and if not, why; also judge whether the model fits the data.
 
-    A run has converged if it passes the tests of `fmu.analysis.convergence.diagnostics.convergence_failures`,
-    which fail for NaN, and if it missed no region that holds 1 % of the probability. Such regions are known from
-    `find_map` and from other runs. Chains alone cannot show them: if all chains are in one of several modes, they
-    agree with each other.
+    A run has converged if it passes every test of `fmu.analysis.convergence.diagnostics.convergence_failures` and
+    missed no region that holds 1 % of the probability. Such regions are known from `find_map` and from other runs.
+    The chains alone cannot reveal them: chains that all stay in one mode agree with each other.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : LogDensity, optional
-        The problem or density that was sampled; its maxima are searched for. Maxima stored in the traces are
-        always used.
+        The problem or density that was sampled. If given, its maxima are searched for. Maxima stored in the traces
+        are always used.
     others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional
         Other runs on the same posterior.
 
@@ -208,7 +207,7 @@ def diagnose(
 
 
 def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
-    """Return the results of the searches for maxima that are stored in a trace and in other traces."""
+    """Return the search results for maxima that are stored in the traces."""
     return [maxima for maxima in map(maxima_of, (trace, *others.values())) if maxima is not None]
 
 
@@ -226,6 +225,7 @@ def judge(
     known : iterable of Maxima
         Results of `find_map` on the same posterior; the result with the largest total mass is used.
     others : mapping of str to xarray.DataTree, optional
+        Other runs on the same posterior.
     table : pandas.DataFrame, optional
         ``summary(trace)``, if already computed.
     """
@@ -256,13 +256,13 @@ def judge(
 
 
 def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
-    """Return reasons why there may be maxima that no chain visited, one sentence each.
+    """Return the reasons why there may be maxima that no chain visited, one sentence per reason.
 
     Parameters
     ----------
     trace : xarray.DataTree
     best : Maxima or None
-        The result of the search; None without a search.
+        Result of the search for maxima; None if there was no search.
     """
     if best is None:
         started = json.loads(trace.attrs["configuration"])["run"].get("init")
@@ -274,14 +274,14 @@ def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]
 
 
 def _is_above(trace: xr.DataTree, level: float) -> bool:
-    """Return True if at least nine tenths of the draws have a higher log-density than `level`."""
+    """Return True if at least nine tenths of the draws have a log-density above `level`."""
     return float(np.quantile(array_of(trace, "sample_stats", "lp"), 0.1)) > level
 
 
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return the reasons why a run has not converged, and warnings about the shares of the maxima."""
+    """Return the reasons why a run has not converged, and warnings about the maxima's probability shares."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
@@ -313,7 +313,7 @@ def diagnose_all(
 
 
 def _search(problem: LogDensity | None) -> list[Maxima]:
-    """Search for the maxima of a problem and return them in a list.
+    """Search for the maxima of a problem; return a list with the result.
 
     The list is empty without a problem, and for a population, whose maximum is far from its probability mass.
     """
@@ -321,11 +321,11 @@ def _search(problem: LogDensity | None) -> list[Maxima]:
 
 
 def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:
-    """Return the name of the representative run: a converged one if possible, with the most effective draws.
+    """Return the name of the representative run: a converged one if possible, with the largest ESS.
 
-    This run gives the verdict on the model, the losses and the exported values wherever no sampler is named. The
-    number of effective draws is that of the worst parameter. Ties are resolved alphabetically, so that the order
-    of the runs does not matter.
+    The representative run supplies the verdict on the model, the losses and the exported values wherever no
+    sampler is named. ESS is that of the worst parameter. Ties are resolved alphabetically, so the order of the
+    runs does not matter.
 
     Parameters
     ----------
@@ -342,12 +342,12 @@ def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.Dat
 
 
 def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
-    """Return True if a run has converged and every ESS of its summary is at least `until_ess`; False for NaN."""
+    """Return True if a run has converged and every ESS in its summary is at least `until_ess` (False for NaN)."""
     return found.converged and fewest(table) >= until_ess
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
-    """Return the number of steps to draw before a run is judged again; 0 if no more are needed or would help.
+    """Return how many steps to draw before judging a run again; 0 if it needs no more, or more would not help.
 
     Parameters
     ----------
@@ -355,7 +355,7 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
     until_ess : float
         Bulk and tail ESS required of every parameter, in addition to convergence.
     maxima : Maxima or None
-        Known maxima of the posterior; None without a search.
+        Known maxima of the posterior; None if they were not searched for.
     """
     draws = int(trace.attrs["draws"])
     if is_beyond_draws(trace):
@@ -373,16 +373,15 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
 
 
 def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:
-    """Return True if the configurations of two traces describe the same posterior."""
     first, second = (json.loads(trace.attrs["configuration"])["problem"] for trace in (one, other))
     return bool(first == second)
 
 
 def maxima_of(trace: xr.DataTree) -> Maxima | None:
-    """Return the maxima stored in a trace; None if there are none."""
+    """Return the maxima stored in a trace, or None if it stores none."""
     return Maxima.from_dataset(trace[GROUP].to_dataset()) if has(trace, GROUP) else None
 
 
 def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
-    """Return the trace with the maxima stored in it, so that every later verdict uses them."""
+    """Return the trace with the maxima added to it, so that every later verdict uses them."""
     return with_group(trace, GROUP, maxima.to_dataset())

@@ -1,4 +1,4 @@
-"""The summary of a trace, and the tests of convergence."""
+"""The summary of a trace, and the convergence tests."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ LEAST_GROWTH = 1.1
 
 @check_arguments
 def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
-    """Summarise the posterior and the reliability of its estimates.
+    """Summarise the posterior and the accuracy of the estimates.
 
     Parameters
     ----------
@@ -73,13 +73,12 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its probability in
-        per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
-        ``ess_tail`` (of the 5 % and the 95 % quantile), and the Monte-Carlo standard errors of the mean and of
-        both ends, ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``. A quantity is NaN if it is undefined:
-        R-hat of a single chain, every quantity of a constant. Plain emcee (`fmu.from_emcee`) has the further
-        column ``ess_emcee``, the number of draws over emcee's own autocorrelation time. This time is too short by
-        about 10 times its square over the number of steps
+        One row per parameter, in SI units: ``mean``, ``sd``, the interval ends, named after its probability
+        (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
+        ``ess_tail``, and the Monte-Carlo standard errors ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``.
+        An undefined quantity is NaN, such as R-hat of a single chain, or any quantity of a constant. Plain emcee
+        (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws divided by emcee's own autocorrelation time.
+        This time is too short by about 10 times its square over the number of steps
         (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers stay in separate
         modes. ``attrs["units"]`` maps parameters to units.
 
@@ -105,7 +104,8 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
 def summary_for_verdict(trace: xr.DataTree) -> pd.DataFrame:
     """Return the part of ``summary(trace)`` that the verdict needs.
 
-    For the scores of single tests, which may be many, only R-hat is computed; their other columns are NaN.
+    A population may have many test scores (each test's standardised deviation from the population mean). Only
+    R-hat is computed for them; their other columns are NaN.
     """
     walkers, names, scores = walkers_of(trace), parameter_names(trace), score_names(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -120,7 +120,7 @@ def summary_for_verdict(trace: xr.DataTree) -> pd.DataFrame:
 
 
 def _row(x: FloatArray, walkers: int, ci_prob: float) -> dict[str, float]:
-    """Return the row of `summary` for a parameter with the draws x, (chains, draws)."""
+    """Return the `summary` row of one parameter, given its draws x of shape (chains, draws)."""
     lower, upper = interval_columns(ci_prob)
     of_ends = (1 - ci_prob) / 2, (1 + ci_prob) / 2
     ends = np.quantile(x, of_ends)
@@ -140,22 +140,23 @@ def _row(x: FloatArray, walkers: int, ci_prob: float) -> dict[str, float]:
 
 
 def interval_columns(ci_prob: float) -> tuple[str, str]:
-    """Return the column names of an equal-tailed interval: ``eti90_lb`` and ``eti90_ub`` for 0.9."""
+    """Return the column names of an equal-tailed interval: ``eti90_lb`` and ``eti90_ub`` for `ci_prob` 0.9."""
     if not 0 < ci_prob < 1:
         raise ArgumentError("ci_prob", "must lie between 0 and 1", repr(ci_prob))
     return f"eti{100 * ci_prob:g}_lb", f"eti{100 * ci_prob:g}_ub"
 
 
 def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
-    """Return R-hat over the walkers of an ensemble, for the worst ensemble, shape (ndim,).
+    """Return R-hat over the walkers of the worst ensemble, for each parameter, shape (ndim,).
 
-    This R-hat reveals walkers that stay in separate regions. R-hat over ensembles does not, if all ensembles are
-    divided in the same way. If the walkers mix, it depends only on the length of the run: R-hat² − 1 is about 2.7
-    autocorrelation times over the number of steps (4 ensembles of 32 walkers, stretch moves, Gaussian and bounded
-    targets of 2 and 5 parameters: on average 2.4 to 3.0, after 3 to 100 autocorrelation times). It is then 1.07
-    after 20 autocorrelation times and 1.03 after 50 (at most 1.03 in 50 such runs). It falls below 1.01, the limit
-    for independent chains, only after 130. Each ensemble is judged separately, because a single trapped walker
-    would have too little weight among all walkers of a run.
+    It reveals walkers that stay in separate regions, which R-hat over ensembles cannot do if all ensembles are
+    divided in the same way. Ensembles are judged separately, because a single trapped walker would have too little
+    weight among all walkers.
+
+    For walkers that mix, it depends only on the run's length: R-hat² − 1 is about 2.7 autocorrelation times over
+    the number of steps. It is therefore 1.07 after 20 autocorrelation times and 1.03 after 50, and falls below
+    1.01, the limit for independent chains, only after 130. (Measured with 4 ensembles of 32 walkers and stretch
+    moves, on Gaussian and bounded targets with 2 and 5 parameters.)
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -163,9 +164,9 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 
 
 def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArray:
-    """Return the length of the first `part` of a run in autocorrelation times, shape (ndim,).
+    """Return the length of a run's first `part` (a fraction) in autocorrelation times, shape (ndim,).
 
-    For each parameter, the slowest ensemble determines the autocorrelation time.
+    Each parameter's slowest ensemble determines the autocorrelation time.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -178,10 +179,9 @@ def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArr
 def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
     """Return True if walkers stay in separate regions, so that more steps would not help.
 
-    If walkers mix, a run has twice as many autocorrelation times as its first half (1.1 to 2.5 times as many in
-    140 runs of at least 3). If walkers stay apart, the autocorrelation time grows with the run, which then has as
-    many autocorrelation times as its first half, however long it is. In shorter runs the two cases cannot be
-    distinguished.
+    If walkers mix, a run is about twice as many autocorrelation times long as its first half (1.1 to 2.5 times in
+    140 runs). If they stay apart, the autocorrelation time grows with the run, and the two lengths are equal. Runs
+    shorter than 3 autocorrelation times cannot be told apart.
 
     Parameters
     ----------
@@ -196,26 +196,24 @@ def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
 def convergence_failures(
     trace: xr.DataTree, table: pd.DataFrame | None = None, places: Places = "unknown"
 ) -> list[str]:
-    """Return the list of reasons why a run has not converged; empty if all tests pass.
+    """Return the reasons why a run has not converged; an empty list if all tests pass.
 
     A run passes if:
 
     - it has at least two chains, and no chain stays at one point for a fifth of its draws;
     - R-hat of every parameter is below 1.01;
     - bulk and tail ESS of every parameter are at least 400, and at least 100 per chain (Vehtari et al. 2021);
-    - the standard errors of the means are below a tenth of the posterior sd, and those of the ends of the 90 %
-      intervals below 0.12 of it;
-    - R-hat of the scores of single tests in a population is below 1.05, which is the only test of the scores;
+    - the standard errors of the means are below 0.1 posterior sd, and those of the 90 % interval ends below 0.12;
+    - R-hat of the test scores in a population is below 1.05, which is the only test of the scores;
     - at most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a mixture, and
-      E-BFMI of every chain is at least 0.3;
+      every chain's E-BFMI is at least 0.3;
     - a mixture had enough candidates for each of its components (`fmu.analysis.convergence.candidates`), and the
       weights of a curved mixture have no heavy tail.
 
-    The chains of an ensemble sampler are its ensembles. Such a run needs at least four ensembles, a length of at
-    least 50 autocorrelation times, and an R-hat over walkers below 1.05. In a run of this length, R-hat over
-    walkers is larger only if walkers stay in separate regions (`rhat_over_walkers`); for a shorter run it is
-    reported only in this case. Plain emcee (`fmu.from_emcee`) may have fewer ensembles. With a single ensemble
-    there is no R-hat; the verdict then depends on autocorrelation times and on R-hat over walkers, and
+    For an ensemble sampler, each ensemble counts as a chain. It needs at least four ensembles, a length of at
+    least 50 autocorrelation times, and an R-hat over walkers below 1.05. In a shorter run, R-hat over walkers is
+    reported only if walkers stay in separate regions (`rhat_over_walkers`). Plain emcee (`fmu.from_emcee`) may
+    have fewer ensembles. A single ensemble has no R-hat; the verdict then depends on the other two tests, and
     `few_ensembles` states what it cannot exclude. A quantity that is NaN fails its test.
 
     Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
@@ -226,15 +224,15 @@ def convergence_failures(
     table : pandas.DataFrame, optional
         ``summary(trace)``, if already computed.
     places : {"unknown", "one", "missed"}
-        What is known about the maxima of the posterior: "unknown" if they are not known or several are important;
-        "one" if a single maximum is important and was visited; "missed" if the run missed one, so that more draws
-        would not help.
+        What is known about the posterior's maxima: "unknown" if they are not known or several are important; "one"
+        if a single maximum is important and was visited; "missed" if the run missed one, so that more draws would
+        not help.
 
     Returns
     -------
     list of str
-        One sentence for each failed test, the most serious first. The first of the tests that more draws would
-        remedy states about how many draws are needed (`fmu.analysis.convergence.remedies`).
+        One sentence for each failed test, the most serious first. The first test that more draws would remedy also
+        says about how many are needed (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
     if table is None:
@@ -287,7 +285,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Return a warning that fewer than four emcee ensembles cannot exclude separate modes; else empty."""
+    """Return a warning if emcee ran too few ensembles to exclude separate modes; otherwise an empty string."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""
@@ -299,7 +297,7 @@ def few_ensembles(trace: xr.DataTree) -> str:
 
 
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the mixture component with the fewest candidates, if these are too few."""
+    """Return a sentence on the mixture component with the fewest candidates if these are too few, in a list."""
     found = candidates_of(trace)
     if found is None or found.drawn >= found.needed:
         return []
@@ -311,7 +309,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the chain or walker that stays longest at one point, if this is too long."""
+    """Return a sentence, in a list, on the chain or walker that stays longest at one point, if too long."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -323,7 +321,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
-    """Return sentences on the failed tests of the Hamiltonian trajectories; empty for samplers without them."""
+    """Return sentences on the failed tests of Hamiltonian trajectories; empty if the sampler has none."""
     failures = []
     diverging = _trajectories_that_diverged(trace)
     if not np.mean(diverging) <= DIVERGING_LIMIT:
@@ -338,9 +336,9 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Return whether each trajectory diverged; a single zero if most steps are candidates of a mixture.
+    """Return an array that marks diverged trajectories; a single zero if most steps are mixture candidates.
 
-    A trajectory that diverges stays where it began. The candidates do not depend on that point, and their weights
+    A diverged trajectory stays at its starting point. Candidates do not depend on that point, and their weights
     show how well they fit the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
@@ -353,17 +351,17 @@ def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
 
 
 def _diverges_for_good(trace: xr.DataTree) -> bool:
-    """Return True if the share of diverging trajectories exceeds its limit by two standard errors."""
+    """Return True if the fraction of diverging trajectories exceeds its limit by two standard errors."""
     diverging = _trajectories_that_diverged(trace)
     n = float(diverging.sum())
     return n - 2.0 * np.sqrt(n) > DIVERGING_LIMIT * diverging.size
 
 
 def _heavy_weights(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the candidates' weights of a curved mixture, if their tail is heavy.
+    """Return a sentence, in a list, if the candidate weights of a curved mixture have a heavy tail.
 
-    The curvature of the mixture may be wrong beyond the draws to which it was fitted. Chains then hardly reach
-    these regions, and R-hat does not show this.
+    The mixture's curvature may be wrong beyond the draws to which it was fitted. Chains then hardly reach these
+    regions, and R-hat does not show it.
     """
     if not has_curved_mixture(trace):
         return []
@@ -373,12 +371,12 @@ def _heavy_weights(trace: xr.DataTree) -> list[str]:
 
 
 def is_beyond_draws(trace: xr.DataTree) -> bool:
-    """Return True if a run has a fault that more draws do not remedy: divergences, or heavy-tailed weights."""
+    """Return True if a run has a fault that more draws cannot remedy: divergences, or heavy-tailed weights."""
     return _diverges_for_good(trace) or bool(_heavy_weights(trace))
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the largest of `values`; empty if all are below `limit`."""
+    """Return a sentence on the largest of `values`, in a list; empty if all are below `limit`."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -386,7 +384,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the smallest of `values`; empty if all are at least `limit`."""
+    """Return a sentence on the smallest of `values`, in a list; empty if all are at least `limit`."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))
@@ -394,5 +392,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Return a value as text, with enough digits to show that it differs from the limit."""
+    """Format a value with enough digits to distinguish it from the limit."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

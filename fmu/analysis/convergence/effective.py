@@ -1,11 +1,11 @@
 """R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity.
 
-All functions take draws of shape (chains, draws). Chains whose state is a single point are treated as in ArviZ
-(`fmu.analysis.convergence.rank_statistics`). The walkers of an ensemble depend on each other. Therefore its draws
-are assessed by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5; Sokal's window).
+All functions take draws of shape (chains, draws). Chains that never move are treated as in ArviZ
+(`fmu.analysis.convergence.rank_statistics`). The walkers of an ensemble depend on each other, so an ensemble's
+draws are assessed by emcee's integrated autocorrelation time (Goodman & Weare 2010, section 5; Sokal's window).
 
 A quantity that cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN fails every
-test of the verdict.
+convergence test.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 TAIL = (0.05, 0.95)
-"""Quantiles of the tail ESS (Vehtari et al. 2021, section 4.3)."""
+"""Quantiles whose ESS gives the tail ESS (Vehtari et al. 2021, section 4.3)."""
 WINDOW = 5
 """Number of autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
 _MIN_DRAWS = 4
@@ -36,7 +36,7 @@ _BATCHES = 20
 
 
 def rhat(x: FloatArray) -> float:
-    """Return the rank-normalised split R-hat, the larger of bulk and folded (Vehtari et al. 2021, section 4.1).
+    """Return the rank-normalised split R-hat: the larger of bulk and folded (Vehtari et al. 2021, section 4.1).
 
     R-hat is NaN for one chain, a constant, fewer than four draws, or a draw that is not finite.
     """
@@ -48,7 +48,7 @@ def rhat(x: FloatArray) -> float:
 
 
 def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
-    """Return the bulk effective sample size: rank-normalised for chains; for ensembles, the ESS of the mean."""
+    """Return the bulk ESS: rank-normalised for chains; for ensembles, the ESS of the mean."""
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
@@ -57,7 +57,7 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
 
 
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
-    """Return the smaller of the effective sample sizes of the 5 % and the 95 % quantile."""
+    """Return the tail ESS, the smaller ESS of the 5 % and 95 % quantiles."""
     if _is_degenerate(x):
         return np.nan
     below = [x <= quantile for quantile in np.quantile(x, TAIL)]
@@ -70,7 +70,7 @@ def ess_tail(x: FloatArray, walkers: int = 1) -> float:
 
 
 def ess_mean(x: FloatArray, walkers: int = 1) -> float:
-    """Return the effective sample size of the mean, from which its standard error follows."""
+    """Return the ESS of the mean, which determines the mean's standard error."""
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
@@ -87,10 +87,10 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s.
+    """Return the Monte-Carlo standard error of the standard deviation s, computed as the error of s² over 2 s.
 
-    The effective sample size is the smaller of those of the squares and of the tails, because slow mixing in a
-    seldom visited tail shows earlier in the tail.
+    The ESS used is the smaller of the squares' ESS and the tail ESS, because slow mixing in a rarely visited tail
+    shows earlier in the tail ESS.
     """
     if _is_degenerate(x):
         return np.nan
@@ -100,26 +100,26 @@ def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of a quantile.
+    """Return the Monte-Carlo standard error of a quantile q_p.
 
-    The error of the quantile q_p is the error of the share of draws below q_p, divided by the density at q_p:
+    It is the error of the fraction of draws below q_p, divided by the density at q_p:
 
-    - The error of the share follows from the effective sample size of the indicator x ≤ q_p (Vehtari et al. 2021,
-      section 4.3). If overlapping batch means give a larger error, this error is used: a slow part of the
-      correlation that is weak at the quantile ends the sum of autocorrelations too early.
-    - The reciprocal of the density is the slope of q_p as a function of log(p/(1 − p)), divided by p (1 − p). The
-      slope is fitted by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
+    - The error of the fraction follows from the ESS of the indicator x ≤ q_p (Vehtari et al. 2021, section 4.3).
+      If overlapping batch means give a larger error, that error is used instead: a slowly decaying correlation
+      that is weak at the quantile ends the sum of autocorrelations too early.
+    - The reciprocal density is the slope of q_p against log(p/(1 − p)), divided by p (1 − p). The slope is fitted
+      by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
     - The slope itself scatters, by some 20 % if 20 effective draws lie beyond the quantile. The relative variance
-      is therefore larger by 2/(ESS p (1 − p)).
+      is therefore increased by 2/(ESS p (1 − p)).
 
-    In replicates of known processes the errors of quantiles, divided by this standard error, have a standard
+    In replicates of known processes, the errors of quantiles divided by this standard error have a standard
     deviation of 0.9 to 1.1 (``results/replicates.md``).
 
     Parameters
     ----------
     x : ndarray, shape (chains, draws)
     probability : float
-        Probability of the quantile.
+        Probability p of the quantile.
     walkers : int
     """
     if _is_degenerate(x):
@@ -137,7 +137,7 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
 
 
 def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the variance of the mean of all draws, from overlapping batches of a twentieth of each chain."""
+    """Return the variance of the overall mean, from overlapping batches of a twentieth of each chain."""
     steps = x.reshape(len(x), -1, walkers).mean(axis=2)
     n = steps.shape[1]
     size = max(1, n // _BATCHES)
@@ -148,7 +148,7 @@ def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
 
 
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:
-    """Reshape (ensembles, steps * walkers, ...), step-major, to (ensembles, walkers, steps, ...)."""
+    """Reshape step-major draws (ensembles, steps * walkers, ...) to (ensembles, walkers, steps, ...)."""
     return x.reshape(len(x), x.shape[1] // walkers, walkers, *x.shape[2:]).swapaxes(1, 2)
 
 
@@ -156,12 +156,11 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
     """Return the integrated autocorrelation time of each ensemble, in steps, shape (ensembles,).
 
     The autocorrelation is summed up to a window of five autocorrelation times, as in emcee, with two differences.
-    First, the autocovariance is taken about the mean of the whole ensemble instead of each walker's own mean, and
-    averaged over the walkers before it is divided by the variance. This reduces the downward bias for short runs
-    (4 % instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process). Walkers that stay in
-    separate regions then count as correlation, and the time is defined even if a walker never moves. Second, if
-    the run is shorter than the window, all lags are summed; emcee.autocorr.integrated_time then uses lag 0 alone,
-    tau = 1.
+    First, the autocovariance is taken about the mean of the whole ensemble and averaged over the walkers before it
+    is divided by the variance. emcee takes it about each walker's own mean. This reduces the downward bias for
+    short runs (4 % instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), and walkers
+    that stay in separate regions count as correlated. Second, if the run is shorter than the window, all lags are
+    summed; emcee.autocorr.integrated_time then uses lag 0 alone, tau = 1.
 
     The time is NaN for an ensemble that does not move. It is at least 1/log10 of the number of draws, as in
     Vehtari et al. 2021.
@@ -187,7 +186,7 @@ def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the step by which to thin to at most `most` draws, taking equally many draws of every walker."""
+    """Return the thinning interval that leaves at most `most` draws, equally many of each walker."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -195,7 +194,7 @@ def apart(draws: int, most: int, walkers: int = 1) -> int:
 
 
 def _autocorrelation(paths: FloatArray) -> FloatArray:
-    """Return the autocorrelation at lags 0, 1, ... of walkers (walkers, steps), about their common mean."""
+    """Return the autocorrelation, shape (steps,), of walker paths (walkers, steps) about their common mean."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     steps = paths.shape[1]
@@ -206,12 +205,12 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
 
 
 def _ensemble_ess(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the sum over ensembles of the number of draws divided by the autocorrelation time."""
+    """Return the ESS of the mean: the sum over ensembles of draws divided by autocorrelation time."""
     return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))
 
 
 def _is_degenerate(x: FloatArray) -> bool:
-    """Return True if the draws are too few, not finite, or all the same."""
+    """Return True if there are too few draws, or they are not finite, or all equal."""
     return x.shape[1] < _MIN_DRAWS or not np.all(np.isfinite(x)) or bool(np.ptp(x) == 0)
 
 
@@ -233,11 +232,11 @@ def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
 
 
 def energy_fraction(energy: FloatArray) -> FloatArray:
-    """Return the Bayesian fraction of missing information of each chain, shape (chains,).
+    """Return the Bayesian fraction of missing information (E-BFMI) of each chain, shape (chains,).
 
-    E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695). It is small if new momenta
-    change the energy little compared with its range, so that a chain explores the energies slowly. It is NaN if
-    the energy never changes, or if there is only one draw.
+    E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695). A small value means that new
+    momenta change the energy little compared with its range, so that a chain explores the energies slowly. It is
+    NaN if the energy never changes, or if there is only one draw.
 
     Parameters
     ----------
@@ -250,17 +249,17 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
 
 
 MOST_RANKED = 2000
-"""Number of draws of each chain used for R-hat of a run in progress."""
+"""Number of draws per chain used for R-hat of a run in progress."""
 MOST_BATCHES = 2000
-"""Number of batch means of each chain used for the effective sample size of a run in progress."""
+"""Number of batch means per chain used for the ESS of a run in progress."""
 MOST_STEPS = 20_000
-"""Largest number of steps of each chain that enter the batches."""
+"""Largest number of steps per chain that enter the batches."""
 
 
 def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False) -> dict[str, float]:
-    """Return the worst R-hat and bulk effective sample size over the parameters of a run in progress.
+    """Return the worst R-hat and bulk ESS over the parameters of a run in progress.
 
-    Both are defined as in `fmu.summary`, and equal the values there up to 2000 draws per chain.
+    Both are defined as in `fmu.summary`, and equal its values up to 2000 draws per chain.
 
     Parameters
     ----------
@@ -274,16 +273,15 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False
     Returns
     -------
     dict of str to float
-        ``rhat`` and ``ess``. A value is NaN if it is undefined for one parameter: R-hat of one chain, fewer than
+        ``rhat`` and ``ess``. A value is NaN if it is undefined for any parameter: R-hat of one chain, fewer than
         four draws, a parameter that has not moved yet, a draw that is not finite.
 
     Notes
     -----
-    For longer runs R-hat is computed from every k-th draw, 2000 per chain; this changes R-hat by less than its own
-    error. The ESS is that of the mean of all draws, from batch means: batching, unlike thinning, does not change
-    the variance of the mean. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps
-    per chain every k-th step is taken; the ESS of nearly independent draws is then a lower bound, about 20 000
-    per chain.
+    For longer runs, R-hat is computed from every k-th draw, 2000 per chain; this changes R-hat by less than its
+    own error. ESS is computed from batch means, because batching, unlike thinning, does not change the variance of
+    the mean: with batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps per chain only
+    every k-th step is used; the ESS of nearly independent draws is then a lower bound, about 20 000 per chain.
     """
     if draws.ndim == 4:
         draws, walkers = draws.reshape(len(draws), -1, draws.shape[3]), draws.shape[2]
@@ -303,7 +301,7 @@ def _live_rhat(x: FloatArray, walkers: int) -> float:
 
 
 def _live_ess(x: FloatArray, walkers: int) -> float:
-    """Return the bulk ESS of one parameter from draws of shape (chains, steps · walkers)."""
+    """Return the bulk ESS of one parameter, given draws of shape (chains, steps · walkers)."""
     steps = x.shape[1] // walkers
     if steps <= MOST_BATCHES or not np.all(np.isfinite(x)) or np.ptp(x) == 0:
         return ess_bulk(x, walkers)
@@ -326,7 +324,7 @@ def _live_ess(x: FloatArray, walkers: int) -> float:
 
 
 def _rank_normalised(x: FloatArray) -> FloatArray:
-    """Return the normal scores (Blom) of all draws, ranked among every k-th of them; same shape as `x`."""
+    """Return the normal scores (Blom) of all draws, each ranked among every k-th draw; same shape as `x`."""
     from scipy.special import ndtri
 
     among = np.sort(x[:, :: -(-x.shape[1] // MOST_RANKED)], axis=None)
@@ -339,16 +337,16 @@ def _rank_normalised(x: FloatArray) -> FloatArray:
 LENGTHS = 20
 _FEWEST = 20
 MOST_RANKED_OF_RUNNING = 1500
-"""Number of draws per chain that are ranked for R-hat of a run in progress, and of the first draws of a run."""
+"""Number of draws per chain ranked for R-hat of a run in progress or of a run's first draws."""
 
 
 def lengths(steps: int, n: int = LENGTHS) -> IntArray:
-    """Return at most `n` increasing numbers of steps up to `steps`, evenly spaced on a logarithmic scale."""
+    """Return up to `n` increasing step counts that end at `steps`, evenly spaced on a logarithmic scale."""
     return np.unique(np.geomspace(min(_FEWEST, steps), steps, n).round().astype(np.int64))
 
 
 def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntArray, FloatArray]:
-    """Return the mean of the first draws of every chain, for increasing numbers of draws.
+    """Return each chain's mean over its first draws, for increasing numbers of draws.
 
     Parameters
     ----------
@@ -370,9 +368,9 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
 
 
 def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED_OF_RUNNING) -> tuple[IntArray, FloatArray]:
-    """Return R-hat of the first draws of a run, for increasing numbers of draws.
+    """Return R-hat over the first draws of a run, for increasing numbers of draws.
 
-    For long runs only every k-th draw is ranked; with 1500 draws per chain this changes R-hat by less than its own
+    In long runs only every k-th draw is ranked; with 1500 draws per chain this changes R-hat by less than its own
     error.
 
     Parameters

@@ -1,4 +1,4 @@
-"""R-hat and effective sample size of the first draws of a run, and the cost at which they met the criterion."""
+"""R-hat and ESS as a run grows, and the cost at which the run first met the convergence criterion."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _RANKED_IN_FULL = 10_000
 
 
 class Growth(NamedTuple):
-    """R-hat and effective sample size of the worst parameter, for increasing numbers of draws.
+    """R-hat and ESS of the worst parameter, for increasing numbers of draws.
 
     Attributes
     ----------
     steps : ndarray of int, shape (n,)
         Increasing numbers of draws per chain.
     solves : ndarray, shape (n,)
-        Cost of these draws in solves, warm-up included; exact gradients count as ``gradient_cost`` solves.
+        Cost of these draws in solves, warm-up included; an exact gradient counts as ``gradient_cost`` solves.
     ess : ndarray, shape (n,)
-        The smaller of bulk and tail effective sample size.
+        The smaller of bulk and tail ESS.
     rhat : ndarray, shape (n,)
     """
 
@@ -40,12 +40,12 @@ class Growth(NamedTuple):
 
 
 def meets_criterion(rhat_max: float, ess_min: float, chains: int) -> bool:
-    """Return True if R-hat and effective sample size meet the criterion, which is the same for all samplers."""
+    """Return True if R-hat and ESS meet the convergence criterion, which is the same for all samplers."""
     return rhat_max < RHAT_LIMIT and ess_min >= required_ess(chains)
 
 
 def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
-    """Return R-hat and effective sample size of a run for increasing numbers of draws.
+    """Return R-hat, ESS and cost over the first draws of a run, for increasing numbers of draws.
 
     If a chain has more than 10 000 draws, R-hat is computed from every k-th draw, 2000 per chain.
 
@@ -69,7 +69,7 @@ def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
 
 
 def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
-    """Return the cumulative solves of a run after each step, warm-up included, shape (steps,)."""
+    """Return the cumulative number of solves after each step, warm-up included, shape (steps,)."""
     warm, drawn = (
         in_solves(trace, *(_of_steps(trace, group, name, walkers) for name in ("n_solves", "n_gradients")))
         for group in ("warmup_sample_stats", "sample_stats")
@@ -78,7 +78,10 @@ def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
 
 
 def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatArray:
-    """Return a stored count at each step, summed over chains and walkers, shape (steps,); empty if not stored."""
+    """Return a stored count for each step, summed over chains and walkers, shape (steps,).
+
+    The result is empty if the trace does not store the count.
+    """
     if not has(trace, group, name):
         return np.zeros(0)
     counts = array_of(trace, group, name)
@@ -86,14 +89,16 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 
 
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
-    """Return the solves, warm-up included, after which the draws first met the criterion; NaN if they never did.
+    """Return the number of solves at which a run first met the criterion; NaN if it never did.
+
+    Solves of the warm-up are included.
 
     Parameters
     ----------
     trace : xarray.DataTree
     grown : Growth, optional
-        ``growth(trace)``, if already computed. Between two of its numbers of draws, the first number that meets
-        the criterion is found by bisection.
+        ``growth(trace)``, if already computed. Bisection refines its steps to the first draw that meets the
+        criterion.
     """
     grown = growth(trace) if grown is None else grown
     chains = trace["posterior"].sizes["chain"]

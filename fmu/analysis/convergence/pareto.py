@@ -1,4 +1,4 @@
-"""The tail of importance weights: its Pareto shape parameter k, and Pareto-smoothed weights (PSIS).
+"""Pareto shape parameter k of importance weights, and Pareto-smoothed weights (PSIS).
 
 Vehtari, Simpson, Gelman, Yao & Gabry 2024, *JMLR* 25, 72; the generalised Pareto distribution is fitted as in
 Zhang & Stephens (2009, *Technometrics* 51, 316–325). The formulas are those of ArviZ; a test compares the results.
@@ -15,14 +15,14 @@ from fmu.numbers import given, significant
 from fmu.types import FloatArray, IntArray
 
 GOOD_K = 0.7
-"""Importance weights with a Pareto k above this limit have no reliable mean."""
+"""Pareto k above which the mean of importance weights is unreliable."""
 _FEWEST = 5
 _PRIOR_SCALE, _PRIOR_DRAWS, _PRIOR_SHAPE = 3.0, 10.0, 0.5
 _NEGLIGIBLE = 10.0 * np.finfo(float).eps
 
 
 class _Tail(NamedTuple):
-    """The largest weights: their indices in ascending order, k, the scale, and the largest weight below them."""
+    """The largest weights: their indices in ascending order, shape k, scale, and the largest weight below them."""
 
     places: IntArray
     shape: float
@@ -31,10 +31,10 @@ class _Tail(NamedTuple):
 
 
 def pareto_k(log_w: FloatArray) -> float:
-    """Return the shape parameter k of the tail of importance weights, from their logarithms (n,).
+    """Return the Pareto shape parameter k of importance weights, given their logarithms (n,).
 
-    If the largest weights are all the same, as in a chain that has not moved, k is infinite, or minus infinity if
-    all weights are the same. It is also infinite if fewer than five weights form the tail.
+    k is infinite if fewer than five weights form the tail, or if the largest weights are all equal, as in a chain
+    that has not moved. It is minus infinity if all weights are equal.
     """
     try:
         return _tail(log_w - np.max(log_w)).shape
@@ -43,7 +43,7 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Return a clause on the weights of a mixture's candidates if their Pareto k is too large; else empty."""
+    """Return a clause that says the candidate weights' Pareto k is too large; an empty string if it is not."""
     if k <= GOOD_K:
         return ""
     return (
@@ -53,20 +53,21 @@ def heavy_tail_in_words(k: float) -> str:
 
 
 def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatArray, float]:
-    """Return the logarithms of smoothed weights that sum to 1, (n,), and the shape parameter k of their tail.
+    """Return the logarithms of Pareto-smoothed weights, (n,), and the Pareto shape k of their tail.
 
-    The largest weights are replaced by quantiles of the generalised Pareto distribution fitted to them.
+    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them. The smoothed
+    weights sum to 1.
 
     Parameters
     ----------
     log_w : ndarray, shape (n,)
     efficiency : float
-        ESS over the number of draws.
+        ESS divided by the number of draws.
 
     Raises
     ------
     ValueError
-        If the largest weights are all the same, or fewer than five.
+        If the largest weights are all equal, or there are fewer than five of them.
     """
     log_w = log_w - np.max(log_w)
     tail = _tail(log_w, efficiency)
@@ -98,11 +99,11 @@ def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
 
 
 def _generalised_pareto(x: FloatArray) -> tuple[float, float]:
-    """Return the shape k and the scale of a generalised Pareto distribution fitted to `x` (n,), ascending.
+    """Fit a generalised Pareto distribution to values x (n,) in ascending order; return its shape k and scale.
 
     The estimate is the posterior mean of b = −k/scale under the prior of Zhang & Stephens, on a grid. The shape k
-    is shrunk towards 0.5 as if by ten more draws. Both values are NaN if the smallest quarter of x is constant;
-    k is infinite and the scale NaN if the estimate is undefined.
+    is shrunk towards 0.5 as if by ten more draws. Both values are NaN if the smallest quarter of x is constant; k
+    is infinite and the scale NaN if the estimate is undefined.
     """
     n = len(x)
     quartile = x[int((n / 4 + 0.5) - 1)]

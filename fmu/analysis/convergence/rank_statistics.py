@@ -1,8 +1,8 @@
-"""R-hat and effective sample size of chains, as ArviZ computes them (Vehtari et al. 2021, doi:10.1214/20-BA1221).
+"""R-hat and ESS of chains, as ArviZ computes them (Vehtari et al. 2021, doi:10.1214/20-BA1221).
 
-The formulas are those of ArviZ, and a test compares the results. They are repeated here because importing ArviZ's
-array functions takes longer than sampling a small model. All functions take draws of shape (chains, draws) that
-are finite and not all the same, with at least four draws per chain.
+A test compares the results with ArviZ. The formulas are repeated here because importing ArviZ's array functions
+takes longer than sampling a small model. All functions take draws of shape (chains, draws) that are finite and
+not all equal, with at least four draws per chain.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _OFFSET = 3.0 / 8.0
 
 
 def split_chains(x: AnyArray) -> AnyArray:
-    """Return the first and the second halves of all chains, shape (2 · chains, draws // 2)."""
+    """Split each chain into its first and second half, shape (2 · chains, draws // 2)."""
     half = x.shape[1] // 2
     return np.concatenate([x[:, :half], x[:, -half:]])
 
 
 def normal_scores(x: FloatArray) -> FloatArray:
-    """Return Φ⁻¹ of the ranks among all draws, with mean ranks for ties; same shape as `x` (section 4.1)."""
+    """Return the normal scores Φ⁻¹(rank) of all draws, with mean ranks for ties; same shape as `x` (see 4.1)."""
     order = np.argsort(x, axis=None)
     ordered = x.ravel()[order]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -34,7 +34,7 @@ def normal_scores(x: FloatArray) -> FloatArray:
 
 
 def potential_scale_reduction(x: FloatArray) -> float:
-    """Return R-hat of chains that are not split or ranked (eq. 4): √((B/W + n − 1)/n) with n draws per chain."""
+    """Return R-hat of chains without splitting or ranking them (eq. 4): √((B/W + n − 1)/n), n draws per chain."""
     n = x.shape[1]
     between = n * np.var(np.mean(x, axis=1), ddof=1)
     within = np.mean(np.var(x, axis=1, ddof=1))
@@ -49,19 +49,19 @@ def rank_rhat(x: FloatArray) -> float:
 
 
 def rank_ess(x: FloatArray) -> float:
-    """Return the bulk ESS: the ESS of the mean of rank-normalised split chains (section 4.3)."""
+    """Return the bulk ESS, that is the ESS of the mean of rank-normalised split chains (section 4.3)."""
     return chain_ess(normal_scores(split_chains(x)))
 
 
 def quantile_ess(x: FloatArray, probability: float) -> float:
-    """Return the ESS of the estimate of a quantile (section 4.3)."""
+    """Return the ESS of a quantile estimate (section 4.3)."""
     return chain_ess(split_chains(x <= np.quantile(x, probability)))
 
 
 def chain_ess(draws: FloatArray) -> float:
-    """Return the ESS of the mean of chains that are not split or ranked (section 3.2): n/τ.
+    """Return the ESS n/τ of the mean of chains without splitting or ranking them (section 3.2).
 
-    Here n is the number of all draws, and the autocorrelation time τ = −1 + 2 Σ ρ_t is estimated over all chains
+    Here n is the total number of draws, and the autocorrelation time τ = −1 + 2 Σ ρ_t is estimated over all chains
     by Geyer's initial monotone sequence: the sums ρ_2k + ρ_2k+1 are used up to the first that is not positive, and
     none may be larger than the one before it. τ is at least 1/log₁₀ n. The ESS of a constant is n.
     """

@@ -1,4 +1,4 @@
-"""The number of draws that a run needs to converge, and remedies for a run that has not converged."""
+"""How many draws a run needs to converge, and remedies for a run that has not converged."""
 
 from __future__ import annotations
 
@@ -25,32 +25,33 @@ ESS_LIMIT = 400
 MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
 MCSE_LIMIT, MCSE_LIMIT_OF_ENDS = 0.1, 0.12
-"""Largest standard errors of the means and of the ends of the 90 % intervals, in posterior sd."""
+"""Largest standard errors allowed of the means and of the 90 % interval ends, in posterior sd."""
 MCSE_OF_ENDS = ("mcse_eti90_lb", "mcse_eti90_ub")
-"""Columns of the Monte-Carlo standard errors of the ends of the 90 % intervals."""
+"""Columns with the Monte-Carlo standard errors of the 90 % interval ends."""
 
 Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0
-"""A smaller effective sample size is too uncertain for a prediction: its error is a third or more."""
+"""ESS below which a prediction from it is unreliable: the ESS itself is off by a third or more."""
 RELIABLE_TIMES = 3.0
-"""A run shorter than this many autocorrelation times underestimates the time, by a half if it is one time long."""
+"""Shortest run, in autocorrelation times, that estimates this time well; a run one time long halves it."""
 _MOST = 2.0
 _NEAR, _SLACK, _LEAST, _FIRST_PART = 1.1, 1.01, 1.02, 0.8
 _LEAST_FOR_RHAT, _MOST_FOR_RHAT = 1.05, 1.15
 _MARGIN, _MARGIN_OF_STEPS = 1.3, 1.1
-"""Ratio of recommended to predicted draws for chains and for ensembles, because predictions scatter."""
+"""Ratios of recommended to predicted draws, for chains and for ensembles, because predictions scatter."""
 
 
 def required_ess(chains: int) -> int:
-    """Return the bulk and tail ESS that are required of every parameter."""
+    """Return the bulk and tail ESS that every parameter must reach in a run with `chains` chains."""
     return max(ESS_LIMIT, ESS_PER_CHAIN * chains)
 
 
 def without_scores(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a summary that decide on convergence: all but the scores of single tests.
+    """Return a summary without the rows of test scores, which do not decide on convergence.
 
-    The scores are many, and the worst of many is bound to be worse. Their information is contained in the mean
-    and the standard deviation of the population, and in the parameters of the structure in each test.
+    A test score is a test's standardised deviation from the population mean. There are many of them, and the worst
+    of many is bound to be worse. Their information is contained in the population's mean and standard deviation,
+    and in each test's structural parameters.
     """
     return table[~_is_score(table)]
 
@@ -60,16 +61,16 @@ def _is_score(table: pd.DataFrame) -> BoolArray:
 
 
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
-    """Return the factor by which the number of draws must grow until effective sample sizes and errors suffice.
+    """Return the factor by which the number of draws must grow until ESS and standard errors suffice.
 
-    An effective sample size grows, and a squared standard error falls, in proportion to the number of draws.
+    ESS grows, and squared standard errors fall, in proportion to the number of draws.
 
     Parameters
     ----------
     table : pandas.DataFrame
         ``fmu.summary(trace)``.
     required : float
-        Bulk and tail ESS that are required of every parameter.
+        Bulk and tail ESS required of every parameter.
     lengths : ndarray, shape (ndim,), optional
         For ensembles, the length of the run in autocorrelation times.
 
@@ -88,22 +89,22 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS in a summary, scores of tests excluded; NaN if one of them is NaN."""
+    """Return the smallest bulk or tail ESS in a summary, test scores excluded; NaN if one of them is NaN."""
     return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return the largest ratio of R-hat − 1 to its limit; the ratio falls as the run grows longer."""
+    """Return the largest R-hat − 1 relative to its limit; the ratio falls as the run grows longer."""
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
 
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
-    """Return the number of steps to draw before an insufficient run is judged again.
+    """Return how many steps to draw before judging an insufficient run again.
 
-    This is 80 % of the steps that `growth` still requires or, if it requires few, all of them plus 1 %. The run is
-    at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run grows by 5
-    to 15 %, because R-hat scatters too much for a prediction. In all other cases the run is doubled.
+    The run grows by 80 % of the steps that `growth` still requires or, if few are missing, by all of them plus 1
+    %. It is at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run
+    grows by 5 to 15 %, because R-hat scatters too much for a prediction. In all other cases the run is doubled.
 
     Parameters
     ----------
@@ -126,10 +127,10 @@ def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: f
 
 
 APART = 1.2
-"""If R-hat is above this, the chains are in different regions, and more draws may never make them agree."""
+"""R-hat above which chains are in different regions, and more draws may never make them agree."""
 SHORTEST_WARMUP = 1000
 RATIOS = "if one parameter sets the width of others, sample their ratios to that width instead of them"
-"""The remedy for a funnel, in which steps of one length are too long in the neck and too short outside."""
+"""Remedy for a funnel, where a fixed step length is too long in the neck and too short outside."""
 
 
 def for_chains_apart(trace: xr.DataTree) -> str:
@@ -147,7 +148,7 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 
 
 def for_divergences(trace: xr.DataTree) -> str:
-    """Return the remedy for diverging trajectories of the sampler of a trace."""
+    """Return the remedy for diverging trajectories, which depends on the trace's sampler."""
     if trace.attrs["sampler"] == "mixture":
         return f"; {RATIOS}"
     settings = json.loads(trace.attrs["settings"]) | json.loads(trace.attrs.get("learnt", "{}"))
@@ -175,9 +176,9 @@ def for_too_few_draws(
     are_apart: bool = False,
     places: Places = "unknown",
 ) -> str:
-    """Return a clause on the number of draws that a run needs, or on how to make its chains agree.
+    """Return a clause on how many draws a run needs, or on how to make its chains agree.
 
-    The clause is empty for a single chain, or if R-hat or an effective sample size is undefined.
+    The clause is empty for a single chain, unless it comes from plain emcee, and if R-hat or an ESS is undefined.
 
     Parameters
     ----------
@@ -185,7 +186,7 @@ def for_too_few_draws(
     table : pandas.DataFrame
         ``fmu.summary(trace)``.
     required : float
-        Bulk and tail ESS that are required of every parameter.
+        Bulk and tail ESS required of every parameter.
     lengths : ndarray, shape (ndim,), optional
         For ensembles, the length of the run in autocorrelation times.
     are_apart : bool
@@ -215,6 +216,6 @@ def for_too_few_draws(
 
 
 def in_two_digits(draws: float) -> int:
-    """Return a number of draws rounded up to two significant digits: 3400 for 3327."""
+    """Round a number of draws up to two significant digits: 3327 becomes 3400."""
     unit = 10 ** max(0, math.floor(math.log10(draws)) - 1)
     return math.ceil(draws / unit) * unit
