@@ -1,9 +1,8 @@
-"""What is known before a planned test: the structure, and its parameters by their prior, earlier tests or a run.
+"""Knowledge before a planned test: the structure, and its parameters from the prior, earlier tests or a run.
 
-The parameters ψ of a plan are the parameters in theta that matter for the planned test and the scores of this test
-in the populations. A score is the distance of a value from the population mean, in standard deviations. For a
-decision about damage after a single test, ψ also includes the losses since then. The parameters of the structure
-in the planned test are functions of ψ.
+A plan's parameters ψ are the parameters in theta that matter for the planned test, plus its test scores: its
+standardised deviations from the population means. For a decision about damage after a single test, ψ also
+includes the stiffness losses since then. The structural parameters in the planned test are functions of ψ.
 """
 
 from __future__ import annotations
@@ -49,22 +48,23 @@ class Before:
     ----------
     problem : UpdatingProblem
     test : int
-        Index of the test that the planned one resembles.
+        Index of the earlier test that the planned one resembles.
     every : ndarray, shape (n_every,)
-        Values of all parameters, of which ψ is a subset, at the reference: the starting point or, after earlier
-        tests, the mean of the posterior.
+        Reference values of all parameters, of which ψ is a subset: the starting point or, after earlier tests, the
+        posterior mean.
     columns : ndarray of int, shape (P,)
         Indices of ψ among all parameters.
     parameters : tuple of Parameter
         The P parameters ψ.
     draws : ndarray, shape (n, P), SI units
+        Draws of ψ.
     scale : ndarray, shape (P, P)
         L, where LLᵀ is the covariance of ψ.
     losses : tuple of int
-        For each loss since a single test, the index of its parameter in theta. These losses are the last ones of
-        all parameters.
+        Index in theta of each parameter that may have lost stiffness since a single test. The losses are the last
+        entries of all parameters.
     is_prior : bool
-        Whether ψ are the parameters of a single test, all of them updated, with their priors.
+        Whether ψ are all the updated parameters of a single test, with their priors.
     doubts : tuple of str
         Reasons why the linearised posterior of earlier tests may be wrong.
     """
@@ -82,12 +82,12 @@ class Before:
 
     @property
     def model(self) -> ModalModel:
-        """The model of the test that the planned one resembles."""
+        """Model used for the earlier test that the planned one resembles."""
         return self._configuration[0]
 
     @property
     def data(self) -> ModalData:
-        """The measured modes of the test that the planned one resembles."""
+        """Measured modes of the earlier test that the planned one resembles."""
         return self.problem.tests[self.test].data
 
     @property
@@ -101,30 +101,30 @@ class Before:
 
     @property
     def reference(self) -> FloatArray:
-        """Values of ψ at the reference, shape (P,)."""
+        """Reference values of ψ, shape (P,)."""
         return self.every[self.columns]
 
     @property
     def start(self) -> FloatArray:
-        """Parameters of the model at the reference, shape (n_parameters,)."""
+        """Reference values of the model parameters, shape (n_parameters,)."""
         return self.values(self.reference[None])[0]
 
     def all_at(self, psi: FloatArray) -> FloatArray:
-        """Return all parameters (n, n_every) at ψ (n, P): theta, scores of the planned test, and losses."""
+        """Return all parameters, (n, n_every), at ψ (n, P): theta, then test scores, then losses."""
         found = np.tile(self.every, (len(psi), 1))
         found[:, self.columns] = psi
         return found
 
     def theta(self, psi: FloatArray) -> FloatArray:
-        """Return theta without inferred standard deviations, (n, n_structural), at ψ (n, P)."""
+        """Return theta without the inferred standard deviations, (n, n_structural), at ψ (n, P)."""
         return self.all_at(psi)[:, : self.problem.n_structural]
 
     def losses_at(self, psi: FloatArray) -> FloatArray:
-        """Return the losses since a single test, (n, t), at ψ (n, P)."""
+        """Return the losses since a single test, (n, n_losses), at ψ (n, P)."""
         return self.all_at(psi)[:, len(self.every) - len(self.losses) :]
 
     def values(self, psi: FloatArray) -> FloatArray:
-        """Return the parameters of the model in the planned test, (n, n_parameters), at ψ (n, P)."""
+        """Return the model parameters in the planned test, (n, n_parameters), at ψ (n, P)."""
         theta, layout = self.theta(psi), self.problem.layout
         theta[:, list(self.losses)] *= 1.0 - self.losses_at(psi)
         z = self.all_at(psi)[:, theta.shape[1] : theta.shape[1] + len(layout.drawn)]
@@ -133,7 +133,7 @@ class Before:
         return found[:, self._configuration[1]]
 
     def slopes(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return the derivatives (n, t, P) of a function from ψ (n, P) to (n, t), by central differences."""
+        """Differentiate a function of ψ, from (n, P) to (n, t), at the draws; return shape (n, t, P)."""
         n, p = self.draws.shape
         h = _STEP * np.linalg.norm(self.scale, axis=1)
         lower, upper = (np.array([getattr(one, end) for one in self.parameters]) for end in ("lower", "upper"))
@@ -142,7 +142,7 @@ class Before:
         return np.asarray(np.swapaxes((found[0] - found[1]) / distance[..., None], 1, 2))
 
     def chain(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the modes at the draws with derivatives with respect to ψ, not to the parameters of the model."""
+        """Convert modal derivatives at the draws from model parameters to ψ by the chain rule."""
         if not self.losses and self.problem.layout.is_identity:
             return seen
         assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
@@ -155,11 +155,11 @@ class Before:
         )
 
     def at(self, kept: BoolArray | None) -> Before:
-        """Return this object with the draws that a mask (n,) keeps; all of them if it is None."""
+        """Return a copy with only the draws that a mask (n,) selects, or `self` if the mask is None."""
         return self if kept is None else replace(self, draws=self.draws[kept])
 
     def only(self, needed: BoolArray) -> Before:
-        """Return this object with the parameters ψ that a mask (P,) selects; the others are integrated out."""
+        """Return a copy with only the parameters ψ that a mask (P,) selects; the others are marginalised."""
         if needed.all():
             return self
         covariance = (self.scale @ self.scale.T)[np.ix_(needed, needed)]
@@ -180,18 +180,18 @@ def known_before(
     n: int,
     rng: np.random.Generator,
 ) -> Before:
-    """Return the knowledge of the parameters before a planned test.
+    """Return what is known about the parameters before a planned test.
 
     Parameters
     ----------
     problem : UpdatingProblem
     trace : DataTree or None
-        A run, whose posterior is the knowledge. Without a run, the knowledge is the prior for a problem of one
-        test, and the linearised posterior for a problem of several tests.
+        A run whose posterior describes the parameters. Without a run, the prior is used for a problem with one
+        test, and the linearised posterior for a problem with several tests.
     like : str or None
         Name of the test that the planned one resembles. Defaults to the last test.
     losses : sequence of Parameter
-        Losses since a single test, each with the name of a parameter of theta and " loss".
+        Stiffness losses since a single test, each named after a parameter of theta followed by " loss".
     n : int
         Number of draws.
     rng : Generator
@@ -199,8 +199,8 @@ def known_before(
     Raises
     ------
     ValueError
-        If the trace is of another problem, no test is named `like`, a parameter has a separate value in each test,
-        or a hierarchical problem with a discrepancy has no trace.
+        If the trace belongs to another problem, no test is named `like`, a parameter has a separate value in each
+        test, or a hierarchical problem with a discrepancy has no trace.
     """
     tests, p = [test.name for test in problem.tests], problem.n_structural
     several = len(tests) > 1
@@ -263,8 +263,8 @@ def _linearised_posterior(
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return draws from the linearised posterior of the tests, (n, n_structural), and reasons to doubt it.
 
-    Around each maximum the posterior is approximated by its Gaussian, within the bounds. If parameters scatter
-    over the tests, the draws are around the typical point.
+    The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters vary between
+    tests, it is approximated at the typical point instead.
     """
     p = problem.n_structural
     if problem.is_hierarchical:

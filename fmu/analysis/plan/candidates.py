@@ -1,4 +1,8 @@
-"""Candidate sensors of a planned test: their places, their costs, and the sensors that are already mounted."""
+"""Candidate sensors of a planned test: their places, their costs, and the sensors already mounted.
+
+A channel is one place and direction; a triaxial sensor has three. Channels are the rows of the mode-shape
+matrices.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +23,16 @@ _TRANSLATIONS = ("x", "y", "z")
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The candidate sensors of a plan.
+    """Candidate sensors of a plan.
 
     Attributes
     ----------
     sensors : tuple of (place, direction)
-        All readings, one per row of the shapes.
+        All channels, one per row of the mode shapes.
     groups : ndarray of int, shape (n_candidates, d)
-        Rows of each candidate: one, or up to three for a triaxial sensor; −1 stands for no row.
+        Channel indices of each candidate: one, or up to three for a triaxial sensor, padded with −1.
     mounted : tuple of int
-        The candidates that are mounted already.
+        Candidates that are already mounted.
     cost : ndarray, shape (n_candidates,)
     """
 
@@ -38,11 +42,11 @@ class Candidates:
     cost: FloatArray
 
     def rows(self, chosen: Sequence[int]) -> list[int]:
-        """Return the rows of the chosen candidates, in their order."""
+        """Return the channel indices of the chosen candidates, in the given order."""
         return [int(row) for k in chosen for row in self.groups[k] if row >= 0]
 
     def places(self, structure: SeparableModel) -> FloatArray | None:
-        """Return the coordinates of the candidates in m, (n_candidates, 3); None if one of them is unknown."""
+        """Return the coordinates of the candidates in m, (n_candidates, 3), or None if any of them is unknown."""
         if structure.geometry is None:
             return None
         nodes, row_of = np.asarray(structure.geometry.nodes), structure.geometry.row_of
@@ -58,13 +62,13 @@ class Candidates:
         return found
 
     def limits(self, count: int, budget: float, places: FloatArray | None, distance: float) -> Limits:
-        """Return the limits of a choice of `count` candidates in addition to the mounted ones.
+        """Return the limits for choosing `count` candidates in addition to the mounted ones.
 
         Raises
         ------
         ValueError
-            If there are fewer candidates than sensors, the budget is too small for a single one, or a distance is
-            given but coordinates are unknown.
+            If there are fewer candidates than sensors, the budget is too small for a single one, or a minimum
+            distance is given but coordinates are unknown.
         """
         free = len(self.groups) - len(self.mounted)
         if count > free:
@@ -90,20 +94,21 @@ def find_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Return the candidates on a structure given by its matrices.
+    """Return the candidate sensors on a structure that has system matrices.
 
     Parameters
     ----------
     structure : SeparableModel
     given : sequence of (place, direction), optional
-        Defaults to all translations of the nodes.
+        Possible channels. Defaults to all translations of the nodes.
     mounted : sequence of (place, direction)
+        Channels that are already mounted.
     exclude : collection of place
         Places out of reach.
     triaxial : bool
         Whether one sensor reads all candidate directions at its place.
     costs : mapping of place to float
-        Costs of the sensors at these places; 1 elsewhere.
+        Costs of the sensors at these places; 1 at all others.
 
     Raises
     ------
@@ -120,7 +125,7 @@ def find_candidates(
 
 
 def _places(structure: SeparableModel) -> set[Any]:
-    """Return places of a structure that exist even if they are fixed: points of its drawing, ends of arms."""
+    """Return the places that exist even if they are fixed: drawn points, and ends of rigid arms."""
     drawn = set() if structure.geometry is None else set(structure.geometry.row_of)
     return drawn | set(structure.arms) | {place for place, _ in structure.motions}
 
@@ -128,7 +133,7 @@ def _places(structure: SeparableModel) -> set[Any]:
 def require_sensors(
     candidates: Sequence[Dof] | None, mounted: Sequence[Dof], exists: Callable[[Dof], bool], rule: str
 ) -> None:
-    """Raise ValueError, with `rule` in its message, if a candidate or a mounted sensor does not exist."""
+    """Raise ValueError, with `rule` in its message, if a candidate or mounted sensor does not exist."""
     for key, sensors in (("candidates", candidates or ()), ("mounted", mounted)):
         for i, sensor in enumerate(sensors):
             if not exists(sensor):
@@ -136,7 +141,7 @@ def require_sensors(
 
 
 def require_places(there: Collection[Any], exclude: Collection[Any], costs: Collection[Any]) -> None:
-    """Raise ValueError if a place that is excluded, or has a cost, does not exist."""
+    """Raise ValueError if an excluded place, or a place with a cost, does not exist."""
     for key, places in (("exclude", exclude), ("costs", costs)):
         unknown = next((place for place in places if place not in there), None)
         if unknown is not None:
@@ -150,7 +155,7 @@ def group_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Return candidates that are known to exist; see `find_candidates`."""
+    """Group existing channels into candidates; for the arguments and errors see `find_candidates`."""
     for key, sensors in (("candidates", given), ("mounted", mounted)):
         twice = (
             next((i for i, one in enumerate(sensors) if one in sensors[:i]), None) if len(sensors) < 100 else None

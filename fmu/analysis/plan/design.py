@@ -1,4 +1,4 @@
-"""The numbers that describe a planned test: scaled derivatives, expected errors, and the resulting information."""
+"""Numerical description of a planned test: scaled derivatives, expected errors, and the resulting information."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from fmu.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The quantities that determine the expected information of a test.
+    """The quantities that determine the expected information of a planned test.
 
     Attributes
     ----------
     parameters : tuple of Parameter
-        The p parameters that the test depends on.
+        The p parameters that affect the test.
     scale : ndarray, shape (p, p)
-        L, where LLᵀ is the covariance of the parameters before the test, SI units.
+        L, where LLᵀ is the parameter covariance before the test, SI units.
     found : Sensitivities
     candidates : Candidates
     modes : tuple of int
-        Indices, from 0, of the modes to be measured among those of `found`.
+        Modes to be measured, as 0-based indices into the modes of `found`.
     frequency_sd : ndarray, shape (n_modes,)
         Relative standard deviations of the measured frequencies.
     shape_sd : float
-        Standard deviation of a component of a shape, relative to the largest component at the candidates.
+        Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     target : ndarray, shape (n, t, p), or None
-        Combinations of the scaled parameters that matter.
+        Combinations of the scaled parameters that matter; None if all parameters matter equally.
     """
 
     parameters: tuple[Parameter, ...]
@@ -52,11 +52,11 @@ class Design:
 
     @property
     def largest(self) -> FloatArray:
-        """Largest component of each shape at the candidates, shape (n, 1, modes), spare modes included."""
+        """Largest component of each mode shape at the candidates, shape (n, 1, modes), spare modes included."""
         return np.max(np.abs(self.found.seen.shapes), axis=1, keepdims=True)
 
     def frequency_information(self, modes: Sequence[int], sd: FloatArray) -> FloatArray:
-        """Return the information from the frequencies of some modes, with relative errors `sd`, (n, p, p)."""
+        """Return the information from the frequencies of `modes`, given their relative errors `sd`; (n, p, p)."""
         seen = self.found.seen
         assert seen.frequency_slopes is not None  # for the type checker
         picked = list(modes)
@@ -70,7 +70,7 @@ class Design:
         shape_sd: float | None = None,
         prior: FloatArray | None = None,
     ) -> Readings:
-        """Return the readings of the candidates, optionally for other modes and errors; see `Readings`.
+        """Return the linearised `Readings` of the candidates, optionally for other modes and errors.
 
         `prior` is the information before the test, shape (n, p, p). It defaults to the identity matrix.
         """
@@ -88,19 +88,19 @@ class Design:
         return Readings(first, shapes, slopes, self.candidates.groups, self.target)
 
     def frequency_sd_of(self, modes: Sequence[int]) -> FloatArray:
-        """Return the relative errors of the frequencies of some of the measured modes, given by their indices."""
+        """Return the relative frequency errors of some measured modes, given by their indices."""
         return np.array([self.frequency_sd[self.modes.index(i)] for i in modes])
 
     def sd_of(self, state: State) -> FloatArray:
-        """Return the expected standard deviations of the parameters, averaged over the draws, (p,), SI units."""
+        """Return the expected parameter standard deviations, averaged over the draws, (p,), SI units."""
         return np.asarray(np.mean(self.sd_at_draws(state), axis=0))
 
     def sd_at_draws(self, state: State) -> FloatArray:
-        """Return the standard deviations of the parameters after a test at each draw, (n, p), SI units."""
+        """Return the parameter standard deviations after the test at each draw, (n, p), SI units."""
         covariance = self.scale @ state.covariance() @ self.scale.T
         return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
     @property
     def prior_sd(self) -> FloatArray:
-        """Standard deviations of the parameters before the test, shape (p,), SI units."""
+        """Parameter standard deviations before the test, shape (p,), SI units."""
         return np.asarray(np.linalg.norm(self.scale, axis=1))

@@ -1,4 +1,4 @@
-"""Linearisation of a planned test for each kind of model: its candidate sensors, modes and derivatives."""
+"""Linearisation of a planned test for each kind of model: candidate sensors, modes and derivatives."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Wishes:
     triaxial : bool
     costs : mapping of place to float
     modes : int or tuple of int
-        Number of modes, or their indices from 0.
+        Number of modes, or their 0-based indices.
     changes : mapping of str to Change
     """
 
@@ -59,26 +59,27 @@ class Wishes:
 
     @property
     def of_sensors(self) -> tuple[Sequence[Dof], Collection[Any], bool, Mapping[Any, float]]:
-        """The arguments of `find_candidates` that follow `given`."""
+        """Arguments of `find_candidates` from `mounted` onwards."""
         return self.mounted, self.exclude, self.triaxial, self.costs
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A planned test, linearised at draws.
+    """A planned test, linearised at the draws.
 
     Attributes
     ----------
     found : Sensitivities
-        With derivatives with respect to the parameters of `Before`.
+        Modes, with derivatives with respect to the parameters of `Before`.
     candidates : Candidates
     modes : tuple of int
-        Indices of the modes to be measured among those of `found`.
+        Modes to be measured, as indices into the modes of `found`.
     structure : SeparableModel or None
-        The structure in the planned test; None for a model without matrices.
+        Structure in the planned test; None for a model without matrices.
     places : ndarray, shape (n_candidates, 3), m, or None
+        Coordinates of the candidates.
     energy : ndarray, shape (rows,), or None
-        Kinetic energy of the modes at each reading.
+        Kinetic energy of the modes at each channel.
     second : dict
         For each change, the sensitivities of the changed structure and the indices of its modes.
     """
@@ -93,12 +94,12 @@ class Linearised:
 
 
 def linearise(before: Before, wishes: Wishes) -> Linearised:
-    """Return a planned test linearised at the draws of what is known before it.
+    """Linearise a planned test at the draws of its parameters.
 
     Raises
     ------
     ValueError
-        As in `fmu.plan`, if such a test of the model is not possible.
+        As in `fmu.plan`, if the model does not permit this test.
     """
     known = structure_of(before.model)
     if known is not None:
@@ -107,7 +108,7 @@ def linearise(before: Before, wishes: Wishes) -> Linearised:
 
 
 def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Linearised:
-    """Return the linearised test of a structure given by its matrices."""
+    """Linearise the test of a structure that has system matrices."""
     structure, start, theta = known.structure, before.start, before.values(before.draws)
     there = find_candidates(structure, wishes.candidates, *wishes.of_sensors)
     picked, paired = pick_modes(structure, start, there.sensors, wishes.modes)
@@ -130,7 +131,10 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 
 
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
-    """Return the linearised test of a user's function or a surrogate, with the sensors of its data."""
+    """Linearise the test of a user's function or a surrogate, whose candidates are the sensors of its data.
+
+    Raise ValueError if the test has changes, or the data lack the modes or channels.
+    """
     if wishes.changes:
         raise ArgumentError("changes", "need a model with matrices", before.model.name)
     there = _own_candidates(before, wishes.candidates, *wishes.of_sensors)
@@ -155,12 +159,12 @@ def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
 
 
 def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
-    """Return sensitivities to the parameters of `before` instead of the parameters of the model."""
+    """Convert derivatives with respect to the model parameters to derivatives with respect to ψ."""
     return replace(found, seen=before.at(found.kept).chain(found.seen))
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return the candidates that some mode moves. Raise ValueError if no mode moves one named by the user."""
+    """Drop the candidates that no mode moves. Raise ValueError if the user named one of them."""
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
     for k, rows in enumerate(there.groups):
@@ -186,7 +190,7 @@ def _own_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Return the candidates for a model without matrices, which are sensors of the problem's data."""
+    """Return the candidates of a model without matrices, which are the sensors of the problem's data."""
     own = before.data.sensors
     if not (before.model.gives_shapes and own):
         rule = "must give shapes at the sensors of its data, which are the candidates of a model without matrices"
@@ -204,9 +208,9 @@ def _of_change(
     start: FloatArray,
     picked: tuple[int, ...],
 ) -> tuple[Sensitivities, tuple[int, ...]]:
-    """Return the sensitivities of the changed structure at the same candidates, and its modes to be measured.
+    """Return the changed structure's sensitivities at the same candidates, and the modes to measure on it.
 
-    These are the modes most similar to those of the unchanged structure, by MAC at the candidates.
+    These modes have the highest MAC with the unchanged structure's modes at the candidates.
     """
     before = paired.observed(start[None]).shapes[0][:, list(picked)]
     try:
@@ -218,7 +222,7 @@ def _of_change(
 
 
 def kinetic_energies(paired: PairedStructure, start: FloatArray, modes: Sequence[int]) -> FloatArray:
-    """Return φ_q (Mφ)_q at each sensor q, summed over some modes at parameters `start`, shape (rows,)."""
+    """Return the kinetic energy φ_q (Mφ)_q at each channel q, summed over `modes`, shape (rows,)."""
     phi = paired.shapes(start)[:, list(modes)]
     rows = paired.structure.observation(paired.sensors)
     return np.asarray(np.sum((rows @ phi) * (rows @ (paired.structure.M(start) @ phi)), axis=1))

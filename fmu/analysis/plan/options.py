@@ -1,4 +1,4 @@
-"""Alternatives to a planned test: other modes, repeats, and changes of the structure, and their information."""
+"""Alternatives to a planned test and their information: other modes, repeats, and structural changes."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 AGAIN = "the same test again"
-"""Row of the table of changes for a second test of the unchanged structure."""
+"""Row name, in the table of second tests, of a repeat without a structural change."""
 REPEATS = (1, 2, 3, 5, 10, 20)
 ENOUGH = 0.95
-"""More repeats are not worthwhile if the sds remain above this share of their value."""
+"""More repeats are not worthwhile if they leave the sds above this fraction of their value."""
 
 
 def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> pd.DataFrame:
-    """Return a table of the information from each mode at the chosen sensors, in nats.
+    """Return a table of each mode's information at the chosen sensors, in nats.
 
     Columns: ``frequency_hz`` at the reference; ``alone``, the information from this mode only; ``needed``, the
-    information that is lost without it; ``frequency_only``, the information lost if its shape is not measured;
-    ``twice_as_accurate``, the gain if the error of its frequency is halved.
+    information lost without this mode; ``frequency_only``, the information lost if its mode shape is not measured;
+    ``twice_as_accurate``, the gain if its frequency error is halved.
     """
     every = list(design.modes)
     whole = design.readings().value_of(chosen)
@@ -62,17 +62,18 @@ def _of(design: Design, matrix: FloatArray) -> float:
 
 
 def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.DataFrame:
-    """Return a table of the information from the mean of repeated tests, by the number of tests.
+    """Return a table of the information from the mean of n repeated tests, one row per n.
 
-    Repeats divide the variance of scatter by their number. A drift, with the same relative size in all
-    frequencies, remains. Columns: ``information`` in nats; ``median_sd``, the median over the parameters of the
-    expected standard deviation relative to the one before the test.
+    Repeats divide the variance of scatter by n. A drift, with the same relative size in all frequencies, remains.
+    Columns: ``information`` in nats; ``median_sd``, the median over the parameters of the expected standard
+    deviation relative to its value before the test.
 
     Parameters
     ----------
     design : Design
         The design with the errors of one test, without the drift.
     chosen : sequence of int
+        Candidates to be measured.
     drift : float
         Relative standard deviation of the frequencies that repeats do not reduce.
     """
@@ -88,7 +89,7 @@ def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.Data
 
 
 def enough_repeats(table: pd.DataFrame) -> int | None:
-    """Return the smallest number of tests beyond which more hardly reduce the sds; None if there is none."""
+    """Return the smallest number of tests beyond which more hardly reduce the sds, or None if there is none."""
     sd = table["median_sd"].to_numpy()
     return next((int(table.index[k]) for k in range(len(sd) - 1) if sd[k + 1] > ENOUGH * sd[k]), None)
 
@@ -99,12 +100,12 @@ def change_table(
     changes: Mapping[str, tuple[Sensitivities, tuple[int, ...]]],
     drift: float,
 ) -> pd.DataFrame:
-    """Return a table of second tests with a change of the structure, the most informative first.
+    """Return a table of second tests, each with one structural change, the most informative first.
 
-    Columns: ``gain``, the information in nats added to the test of the unchanged structure; ``median_sd`` and
-    ``largest_sd`` over the parameters after both tests, relative to the standard deviation before them. The row
-    `AGAIN` is a second test without a change. `changes` has the sensitivities of each changed structure, and the
-    indices of its modes that are measured.
+    Columns: ``gain``, the information in nats that the second test adds to the first; ``median_sd`` and
+    ``largest_sd`` over the parameters after both tests, relative to before. The row `AGAIN` is a second test
+    without a change. `changes` maps each name to the changed structure's sensitivities and the indices of its
+    measured modes.
     """
     sd = np.sqrt(design.frequency_sd**2 + drift**2)
     first = design.readings(frequency_sd=sd)
@@ -134,7 +135,7 @@ def change_table(
 
 
 def _common(one: Sensitivities, other: Sensitivities) -> tuple[IntArray, IntArray]:
-    """Return, for each of two sensitivities, the indices of its rows for the draws that both have."""
+    """Return the row indices, in each of two sensitivities, of the draws that both contain."""
     n = max(len(s.seen.frequencies) if s.kept is None else len(s.kept) for s in (one, other))
     masks = [np.ones(n, dtype=bool) if s.kept is None else s.kept for s in (one, other)]
     both = masks[0] & masks[1]

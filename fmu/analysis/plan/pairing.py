@@ -1,4 +1,4 @@
-"""Whether the modes of a planned test could be distinguished by MAC at its sensors."""
+"""Check that MAC at the planned sensors would distinguish the modes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from fmu.fem.pairing.rules import assign
 from fmu.types import FloatArray
 
 MOST_WRONG = 0.05
-"""Largest share of simulated tests in which a mode may be paired with another one."""
+"""Largest fraction of simulated tests in which a mode may be paired wrongly."""
 _TESTS = 10  # simulated tests at each draw
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Pairing by MAC in simulated tests.
+    """Result of pairing simulated tests by MAC.
 
     Attributes
     ----------
     wrong : ndarray, shape (m,)
-        Share of the tests in which each measured mode was paired with another mode.
+        Fraction of the tests in which each measured mode was paired with the wrong mode.
     taken_for : ndarray of int, shape (m,)
-        Index of the mode that each mode was most often mistaken for; its own index if it never was.
+        Index of the mode with which each mode was most often confused; its own index if it never was.
     """
 
     wrong: FloatArray
@@ -34,18 +34,18 @@ class Pairing:
 
     @property
     def ok(self) -> bool:
-        """Whether every mode is paired correctly in a sufficient share of the tests."""
+        """Whether each mode is paired wrongly in at most `MOST_WRONG` of the tests."""
         return bool(np.all(self.wrong <= MOST_WRONG))
 
 
 def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator) -> Pairing:
-    """Simulate shapes with their errors at the sensors, and pair them with all modes of the model by MAC.
+    """Simulate measured mode shapes with errors, and pair them by MAC with all modes of the model.
 
     Parameters
     ----------
     design : Design
     rows : sequence of int
-        Rows of the sensors.
+        Channels at which the shapes are measured.
     rng : Generator
     """
     shapes, picked = design.found.seen.shapes[:, list(rows)], list(design.modes)

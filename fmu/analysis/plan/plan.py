@@ -1,4 +1,4 @@
-"""`fmu.plan`: the sensors, modes, repeats and changes of the structure that best determine its parameters."""
+"""`fmu.plan`: the sensors, modes, repeats and structural changes that best determine the parameters."""
 
 from __future__ import annotations
 
@@ -61,21 +61,21 @@ def plan(
     draws: Annotated[int, Interval(ge=2, le=10_000)] = 32,
     seed: Seed = 1,
 ) -> Plan:
-    """Plan a modal test: choose the sensors that reduce the uncertainty of the parameters most.
+    """Plan a modal test: choose the sensors that reduce the parameter uncertainty most.
 
-    The model is linearised at draws from the prior or, with a trace, from the posterior of a run. The expected
-    information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J) is maximised by a greedy choice and exchanges. An upper bound by
-    convex relaxation shows how far the plan can be from the best choice. Bounds of parameters and bent posteriors
-    are ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the modes could not be paired by
-    MAC with the most informative sensors, only choices that allow this pairing are considered.
+    The model is linearised at draws from the prior or, with a trace, from a run's posterior. Greedy selection and
+    exchanges maximise the expected information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J). An upper bound from convex
+    relaxation shows how far the plan can be from the best choice. Parameter bounds and non-Gaussian posteriors are
+    ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the most informative sensors would not
+    let the modes be paired by MAC, only choices that do are considered.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        One test of a structure, or several tests (`fmu.JointProblem`), of which the next is planned. The data of
-        one test may come from an earlier test or be predicted by the model (`fmu.expected_modes`): only the model,
-        the prior and the errors of the frequencies are used. After several tests, the knowledge before the planned
-        test is the linearised posterior of these tests or, with a trace, the posterior of a run.
+        One test of a structure, or several tests (`fmu.JointProblem`) of which the next is planned. With one test,
+        only the model, the prior and the frequency errors are used, so the data may come from an earlier test or
+        from the model (`fmu.expected_modes`). After several tests, the plan starts from their linearised posterior
+        or, with a trace, from a run's posterior.
     sensors : int
         Number of sensors to choose, in addition to the mounted ones. With a budget, the largest number.
     candidates : sequence of (place, direction), optional
@@ -90,29 +90,28 @@ def plan(
     min_distance : float, m
         Smallest distance between two sensors.
     costs : mapping of place to float, optional
-        Costs of sensors at these places; 1 elsewhere.
+        Costs of sensors at these places; 1 at all others.
     budget : float, optional
         Largest total cost of the chosen sensors.
     modes : int or sequence of int, optional
-        Number of modes to be measured, which are the lowest elastic modes that the candidates see; or the numbers
-        of these modes, from 1, among all elastic modes. Defaults to the number of modes of the problem.
+        Number of modes to measure, starting from the lowest elastic mode that the candidates see; or the mode
+        numbers, from 1, among all elastic modes. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
-        Relative standard deviation of the frequencies in one test. Defaults to that of the problem, or to 0.005.
+        Relative standard deviation of the frequencies in one test. Defaults to the problem's, or to 0.005.
     shape_sd : float
-        Standard deviation of a component of a shape, relative to its largest component at the candidates.
+        Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     drift : float
         Relative standard deviation of the frequencies that repeated tests do not reduce.
     target : str, sequence of str, mapping, callable or DamageTarget, optional
-        The purpose of the test, if not all parameters matter equally: names of parameters, a combination as
-        weights by name, a prediction that maps theta (n, ndim) to (n,), or a decision about damage
-        (`fmu.DamageTarget`).
+        Purpose of the test, if not all parameters matter equally: parameter names, a combination as weights by
+        name, a prediction that maps theta (n, ndim) to (n,), or a decision about damage (`fmu.DamageTarget`).
     changes : mapping of str to Change, optional
-        Known changes of the structure for a second test, by name.
+        Known structural changes for a second test, by name.
     place_names : mapping of place to str, optional
         Names of places in tables and files, for example of numbered nodes.
     like : str, optional
         With several tests, the name of the test that the planned one resembles in its group, masses, springs and
-        known parameters. Defaults to the last test. Covariates have their means over the tests.
+        known parameters. Defaults to the last test. Covariates take their means over the tests.
     trace : DataTree, optional
         A run of the same problem, whose posterior replaces the prior.
     draws : int
@@ -127,8 +126,8 @@ def plan(
     ------
     ValueError
         If a sensor does not exist, there are fewer candidates than sensors, the candidates do not see a mode, no
-        mode moves a candidate, the model gives no shapes, the target is not one of the parameters, or a parameter
-        has a separate value in each test.
+        mode moves a candidate, the model gives no mode shapes, the target is not one of the parameters, or a
+        parameter has a separate value in each test.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -189,9 +188,9 @@ def _choose(
     relaxed: Relaxed,
     can_pair: Callable[[Sequence[int]], bool],
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the most informative choice, and the most informative one whose modes can be paired.
+    """Return the most informative choice, and the most informative choice that allows pairing by MAC.
 
-    If the modes cannot be paired with any choice, both are the first.
+    Both are the same if no choice allows pairing.
     """
     rounded = [int(k) for k in np.argsort(-relaxed.weights, kind="stable")]
     most = choose(readings, limits, [usual[INDEPENDENCE], rounded])
@@ -202,7 +201,10 @@ def _choose(
 
 
 def _modes(data: ModalData, modes: int | Sequence[int] | None) -> int | tuple[int, ...]:
-    """Return the number of modes, or their indices from 0 in ascending order."""
+    """Return the number of modes, or their 0-based indices in ascending order.
+
+    Raise ValueError unless the mode numbers are distinct and there is at least one.
+    """
     if modes is None or isinstance(modes, int):
         return data.n_modes if modes is None else modes
     found = tuple(sorted(int(i) - 1 for i in modes))
@@ -212,7 +214,10 @@ def _modes(data: ModalData, modes: int | Sequence[int] | None) -> int | tuple[in
 
 
 def _frequency_sd(data: ModalData, given: ArrayLike | None, n_modes: int) -> FloatArray:
-    """Return the relative standard deviations of the frequencies, (n_modes,)."""
+    """Return the relative standard deviations of the frequencies, (n_modes,).
+
+    Raise ValueError if `given` does not have one value, or one per mode.
+    """
     if given is not None:
         try:
             return np.broadcast_to(np.asarray(given, dtype=float), (n_modes,)).copy()
@@ -225,7 +230,7 @@ def _frequency_sd(data: ModalData, given: ArrayLike | None, n_modes: int) -> Flo
 
 
 def _usual_choices(design: Design, limits: Limits, energy: FloatArray | None) -> dict[str, tuple[int, ...]]:
-    """Return the choices by the customary rules, by name, with as many sensors as the budget allows."""
+    """Return the choices made by the customary rules, by name, with as many sensors as the budget allows."""
     shapes, groups = design.found.nominal.shapes[0][:, list(design.modes)], design.candidates.groups
     rules: dict[str, Callable[[Limits], tuple[int, ...]]] = {
         INDEPENDENCE: lambda limits: baselines.effective_independence(shapes, groups, limits),

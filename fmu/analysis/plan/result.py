@@ -1,4 +1,4 @@
-"""The result of `fmu.plan`: the sensors, the expected information, and reasons against the plan."""
+"""The result of `fmu.plan`: the sensors, the expected information, and objections to the plan."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 PLANNED = "this plan"
 _BOUNDS, _STEPS = 8, 24  # numbers of sensors whose bound is computed, and steps of each
 UNKNOWN = 0.9
-"""A parameter remains unknown if its expected sd is above this share of its sd before the test."""
+"""A parameter remains unknown if its expected sd is above this fraction of its sd before the test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,33 +43,34 @@ class Plan:
     before : Before
         What is known before the test.
     structure : SeparableModel or None
-        The structure in the planned test; None for a model without matrices.
+        Structure in the planned test; None for a model without matrices.
     design : Design
         Derivatives, candidates and errors.
     limits : Limits
     chosen : tuple of int
-        Candidates chosen, the most important first; mounted ones are in `limits`.
+        Chosen candidates, the most important first; the mounted ones are in `limits`.
     usual : dict of str to tuple of int
-        Choices by the customary rules.
+        Choices made by the customary rules.
     places : ndarray, shape (n_candidates, 3), m, or None
+        Coordinates of the candidates.
     place_names : mapping of place to str
         Names of places in tables and files.
     information : float
         Expected information gain in nats.
     bound : float
-        Information that no choice of as many sensors exceeds, in nats.
+        Upper bound on the information of any choice with as many sensors, in nats.
     curve : DataFrame
-        ``information`` of the first sensors, by their number.
+        ``information`` of the first n sensors, one row per n.
     choices : DataFrame
-        The plan and the customary choices: ``information``, ``median_sd`` (relative to the one before the test),
-        ``largest_auto_mac`` off the diagonal, ``wrong_pairs``, the largest share of wrong pairings of a mode.
+        The plan and the customary choices: ``information``; ``median_sd``, relative to before the test;
+        ``largest_auto_mac`` off the diagonal; ``wrong_pairs``, the largest fraction of wrong pairings of any mode.
     modes, repeats, second_tests : DataFrame
         See `fmu.analysis.plan.options`; `second_tests` is None without changes.
     pairing : Pairing
     drift : float
-        Relative standard deviation of frequencies that repeats do not reduce.
+        Relative standard deviation of the frequencies that repeats do not reduce.
     decision : Decision or None
-        The decision about damage that the test is for.
+        Decision about damage that the test has to support.
     """
 
     before: Before
@@ -98,38 +99,38 @@ class Plan:
 
     @property
     def every(self) -> tuple[int, ...]:
-        """The candidates of the test: mounted ones, then the chosen ones."""
+        """Candidates measured in the test: the mounted ones, then the chosen ones."""
         return (*self.limits.mounted, *self.chosen)
 
     @property
     def sensors(self) -> tuple[Dof, ...]:
-        """All readings (place, direction) of the test, mounted ones first, then in the order of the choice."""
+        """Channels (place, direction) of the test: the mounted ones, then the chosen ones by importance."""
         there = self.design.candidates
         return tuple(there.sensors[row] for row in there.rows(self.every))
 
     @property
     def named_sensors(self) -> tuple[Dof, ...]:
-        """`sensors`, with the names of their places where they have names."""
+        """`sensors` with place names instead of places wherever names are given."""
         return tuple((self.place_names.get(place, place), direction) for place, direction in self.sensors)
 
     @property
     def gap(self) -> float:
-        """Largest share of the best possible information that the plan may miss."""
+        """Largest fraction of the best possible information that the plan may miss."""
         return (self.bound - self.information) / self.bound if self.bound > 0.0 else 0.0
 
     @property
     def frequency_sd(self) -> FloatArray:
-        """Relative standard deviation of each measured frequency, drift included, (n_modes,)."""
+        """Relative standard deviation of each measured frequency, including drift, shape (n_modes,)."""
         return np.sqrt(self.design.frequency_sd**2 + self.drift**2)
 
     @property
     def auto_mac(self) -> FloatArray:
-        """AutoMAC of the measured modes at the sensors, at the reference parameters, shape (n_modes, n_modes)."""
+        """AutoMAC of the measured modes at the sensors, at the reference parameters, (n_modes, n_modes)."""
         shapes = self.design.found.nominal.shapes[0][:, list(self.design.modes)]
         return auto_mac(shapes, self.design.candidates.rows(self.every))
 
     def parameters(self) -> pd.DataFrame:
-        """Return a table of expected standard deviations, SI units, with one row per parameter.
+        """Return a table of expected standard deviations in SI units, one row per parameter.
 
         Columns: ``before`` the test, with ``frequencies`` alone, and ``after`` the test.
         """
@@ -142,17 +143,17 @@ class Plan:
         return data_frame(columns, "parameter", self.design.names)
 
     def losses(self) -> pd.DataFrame | None:
-        """Return a table of the losses that the test is for, see `Decision.expect`; None without such a target."""
+        """Return the table of losses from `Decision.expect`; None if the target is not damage."""
         if self.decision is None or self.design.target is None:
             return None
         readings = self.design.readings(frequency_sd=self.frequency_sd)
         return self.decision.expect(self.design.target, readings.with_sensors(self.every))
 
     def with_bounds(self) -> pd.DataFrame:
-        """Return `curve` with a column ``bound``: the information that no choice of as many sensors exceeds.
+        """Return `curve` with a column ``bound``: an upper bound on the information of any choice of that size.
 
-        The bound is computed for up to eight numbers of sensors, and NaN for the others. With a budget, which does
-        not fix the number of sensors, it is NaN everywhere.
+        The bound is computed for up to eight numbers of sensors and is NaN for the others. With a budget, which
+        does not fix the number of sensors, it is NaN everywhere.
         """
         found, n = self.curve.copy(), len(self.chosen)
         bounds = np.full(n + 1, np.nan)
@@ -165,7 +166,7 @@ class Plan:
         return found.assign(bound=bounds)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return a table of the readings: number of the sensor, place, direction, coordinates in m if known."""
+        """Return a table of channels: sensor, place, direction, coordinates in m if known, ``mounted``."""
         there, named = self.design.candidates, iter(self.named_sensors)
         rows: list[dict[str, object]] = []
         for number, k in enumerate(self.every, 1):
@@ -179,7 +180,7 @@ class Plan:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Reasons against the plan, one sentence each; the plan is recommended if there are none."""
+        """Objections to the plan, one sentence each; the plan is recommended if there are none."""
         found, sd = [*self.before.doubts], self.parameters()
         for i, wrong in enumerate(self.pairing.wrong):
             if wrong > MOST_WRONG:
@@ -200,7 +201,7 @@ class Plan:
 
     @property
     def recommended(self) -> bool:
-        """Whether there are no reasons against the plan."""
+        """Whether there are no objections to the plan."""
         return not self.doubts
 
     def sentences(self) -> list[str]:
@@ -283,7 +284,7 @@ class Plan:
 
 
 def cell(value: object) -> str:
-    """Return the text of a table cell: a number with three digits, and other values as they are."""
+    """Format a table cell: a float with three digits, True as "yes", False as an empty string."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else ""
     return significant(float(value)) if isinstance(value, float) else str(value)
@@ -292,7 +293,7 @@ def cell(value: object) -> str:
 def choice_row(
     design: Design, readings: Readings, every: Sequence[int], pairing: Pairing, decision: Decision | None
 ) -> dict[str, float]:
-    """Return the row of `Plan.choices` for a choice of candidates."""
+    """Return the row of `Plan.choices` that describes one choice of candidates."""
     state, rows = readings.with_sensors(every), design.candidates.rows(every)
     shapes = design.found.nominal.shapes[0][:, list(design.modes)][rows]
     expected = {} if decision is None or design.target is None else decision.worst(design.target, state)
@@ -306,7 +307,7 @@ def choice_row(
 
 
 def information_curve(readings: Readings, limits: Limits, chosen: Sequence[int]) -> pd.DataFrame:
-    """Return a table of the information from the first sensors of a plan, by their number."""
+    """Return a table of the information from the first n sensors of a plan, one row per n."""
     state = readings.with_sensors(limits.mounted)
     values = [readings.value(state)]
     for k in chosen:

@@ -1,4 +1,4 @@
-"""Modes at draws of the parameters, with derivatives, at all candidate sensors of a planned test."""
+"""Modes and their derivatives, at draws of the parameters, at all candidate sensors of a planned test."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from fmu.progress.phases import phase
 from fmu.types import BoolArray, Dof, FloatArray
 
 SPARE = 2
-"""Number of modes above the measured ones with which these must not be confused."""
+"""Number of modes above the measured ones that pairing could confuse with them."""
 SHAPE_ERROR = 1e-3
-"""Largest error allowed in a reduced model's shapes at the candidates, relative to the largest component."""
+"""Largest error allowed in a reduced model's mode shapes at the candidates, relative to the largest component."""
 UNSEEN = 1e-6
-"""A candidate does not see a mode if it moves less than this share of the mode's largest displacement."""
+"""A candidate does not see a mode if it moves less than this fraction of the mode's largest displacement."""
 _FULL = 100  # up to this size, full solves at all draws take less time than training
 _TOLERANCES = (1e-6, 1e-8)
 _CHECKED = 3
@@ -30,17 +30,17 @@ _CHECKED = 3
 
 @dataclass(frozen=True)
 class Certificate:
-    """Errors of the reduced model at draws where the full model was also solved.
+    """Errors of the reduced model at draws for which the full model was also solved.
 
     Attributes
     ----------
     frequency, shape : float
-        Largest relative error of a frequency; largest error of a shape at a candidate, relative to the shape's
-        largest component there.
+        Largest relative frequency error; largest mode-shape error at a candidate, relative to the shape's largest
+        component there.
     draws : int
         Number of these draws.
     size : int
-        Number of unknowns of the reduced model.
+        Number of unknowns in the reduced model.
     """
 
     frequency: float
@@ -50,28 +50,29 @@ class Certificate:
 
     @property
     def ok(self) -> bool:
-        """Whether the error of the shapes is at most `SHAPE_ERROR`."""
+        """Whether the mode-shape error is at most `SHAPE_ERROR`."""
         return self.shape <= SHAPE_ERROR
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Modes and their derivatives at n draws, at all candidate rows.
+    """Modes and their derivatives at n draws, at all candidate channels.
 
     Attributes
     ----------
     seen : ModalPrediction
-        Frequencies (n, m), shapes (n, rows, m) and their derivatives with respect to the parameters; the last
+        Frequencies (n, m), mode shapes (n, rows, m) and their derivatives with respect to the parameters; the last
         modes are spare.
     nominal : ModalPrediction
         The same modes at the reference parameters, n = 1, without derivatives.
     model : ModalModel
-        The model that computed them, reduced or not.
+        Model that computed the modes; it may be reduced.
     n_solves : int
         Solves of the model, or calls of a user's function.
     certificate : Certificate or None
     kept : ndarray of bool, shape (n_draws,), or None
-        Draws that `seen` has; at the others a solve failed or a mode had no derivative. None if it has all draws.
+        Mask of the draws in `seen`; at the others a solve failed or a mode had no derivative. None if all draws
+        are there.
     """
 
     seen: ModalPrediction
@@ -85,7 +86,7 @@ class Sensitivities:
 def paired_with_itself(
     structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], n_modes: int
 ) -> PairedStructure:
-    """Return a structure paired by shape with its own lowest elastic modes at `start`, observed at the sensors.
+    """Pair a structure by shape with its own lowest elastic modes at `start`, observed at the sensors.
 
     Up to `SPARE` modes above these are added if the structure has them.
 
@@ -115,16 +116,16 @@ def paired_with_itself(
 def pick_modes(
     structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], modes: int | Sequence[int]
 ) -> tuple[tuple[int, ...], PairedStructure]:
-    """Return indices of the modes to be measured, from 0, and the structure paired with its modes up to them.
+    """Return the 0-based indices of the modes to measure, and the structure paired with its modes up to them.
 
     Parameters
     ----------
     structure : SeparableModel
     start : ndarray, shape (n_parameters,)
     sensors : sequence of (place, direction)
-        All candidates.
+        All candidate channels.
     modes : int or sequence of int
-        The number of modes, which are the lowest that the candidates see; or indices, from 0.
+        Number of modes, starting from the lowest that the candidates see; or 0-based indices.
 
     Raises
     ------
@@ -155,10 +156,10 @@ def pick_modes(
 
 
 def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) -> Sensitivities:
-    """Return the sensitivities of a structure given by its matrices, at theta (n, n_parameters).
+    """Return the sensitivities of a structure with system matrices, at theta (n, n_parameters).
 
-    A large structure is reduced within the box of the draws. The reduced basis has all degrees of freedom, so that
-    it gives shapes at all candidates. Its shapes are compared with those of the full model at a few draws.
+    A large structure is reduced within the range of the draws. The reduced basis covers all degrees of freedom, so
+    it gives mode shapes at all candidates. They are compared with the full model's at a few draws.
     """
     nominal = paired.observed(start[None])
     n = len(theta)
@@ -196,7 +197,7 @@ def of_model(model: ModalModel, theta: FloatArray, start: FloatArray) -> Sensiti
 
 
 def _complete(model: ModalModel, seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) -> Sensitivities:
-    """Return the sensitivities at the draws that have all derivatives. Raise ValueError if there are none."""
+    """Return the sensitivities at the draws with all derivatives. Raise ValueError if there are none."""
     assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
     assert seen.shape_slopes is not None
     parts = (seen.frequencies, seen.frequency_slopes, seen.shapes, seen.shape_slopes)

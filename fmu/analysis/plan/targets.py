@@ -1,8 +1,8 @@
 """The purpose of a planned test: parameters, a combination of them, a prediction, or a decision about damage.
 
-The loss d of a parameter has the mean m and the standard deviation s₀ before the test, and s₁ after it. By the
-linearised model, the posterior mean after a test of a structure whose true loss is d* is normal, with mean m + r
-(d* − m), r = 1 − s₁²/s₀², and variance r s₁². The expected probability after the test that the loss exceeds x is
+The loss d of a parameter has mean m and standard deviation s₀ before the test, and s₁ after it. In the linearised
+model, the posterior mean after a test of a structure whose true loss is d* is normal, with mean m + r (d* − m),
+r = 1 − s₁²/s₀², and variance r s₁². The expected probability after the test that the loss exceeds x is
 
     E P(d > x | test) = Φ( (m + r (d* − m) − x) / (s₁ √(1 + r)) ).
 
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
 
 
 Target = str | Sequence[str] | Mapping[str, float] | Callable[[FloatArray], FloatArray] | DamageTarget
-"""Names of parameters; weights of a combination, by name; a prediction from theta (n, ndim) to (n,) or (n, t);
-or a decision about damage."""
+"""Parameter names; weights of a combination, by name; a prediction from theta (n, ndim) to (n,) or (n, t); or a
+decision about damage."""
 
 
 PROBABILITIES = ("before", "if_none", "if_twice")
-"""Columns with probabilities of a loss."""
+"""Columns that contain probabilities of a loss."""
 
 
 def losses_of(target: DamageTarget, before: Before, psi: FloatArray) -> FloatArray:
-    """Return the losses (n, t) in the planned test at ψ (n, P); see `fmu.analysis.plan.before`.
+    """Return the losses (n, t) in the planned test at ψ (n, P); `fmu.analysis.plan.before` defines ψ.
 
     Raises
     ------
@@ -59,12 +59,12 @@ def losses_of(target: DamageTarget, before: Before, psi: FloatArray) -> FloatArr
 
 
 def damage_in(target: Target | None) -> DamageTarget | None:
-    """Return a target that is a loss; None for any other target."""
+    """Return the target if it is a `DamageTarget`, otherwise None."""
     return target if isinstance(target, DamageTarget) else None
 
 
 def target_of(target: Target | None, before: Before) -> FloatArray | None:
-    """Return the derivatives of a target with respect to the parameters, (n, t, P); None without a target.
+    """Return the derivatives of a target with respect to the parameters, (n, t, P), or None without a target.
 
     Losses and predictions are differentiated at the draws by central differences.
 
@@ -96,7 +96,7 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
 
 
 def without_the_unneeded(before: Before, target: Target | None) -> Before:
-    """Return the knowledge before a test without parameters that affect neither the test nor the target."""
+    """Drop the parameters that affect neither the test nor the target."""
     if before.is_prior:
         return before
     slopes = [before.slopes(before.values), target_of(target, before)]
@@ -105,7 +105,10 @@ def without_the_unneeded(before: Before, target: Target | None) -> Before:
 
 
 def _predict(target: Callable[[FloatArray], FloatArray], theta: FloatArray) -> FloatArray:
-    """Return the values of a prediction, shape (n, t), at theta (n, p)."""
+    """Return the user's prediction at theta (n, p), shape (n, t).
+
+    Raise ValueError unless it is finite and has shape (n,) or (n, t).
+    """
     found = np.asarray(target(theta), dtype=float)
     if found.shape[:1] != (len(theta),) or not np.all(np.isfinite(found)):
         rule = f"must return finite numbers of shape (n,) or (n, t) at theta (n, {theta.shape[1]})"
@@ -115,14 +118,14 @@ def _predict(target: Callable[[FloatArray], FloatArray], theta: FloatArray) -> F
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """A decision about damage, for which a test is planned.
+    """A decision about damage that a planned test has to support.
 
     Attributes
     ----------
     names : tuple of str
         Names of the parameters whose losses matter.
     beyond : float
-        The loss x that matters.
+        Smallest loss x that matters.
     mean : ndarray, shape (t,)
         Mean m of each loss before the test.
     """
@@ -133,14 +136,14 @@ class Decision:
 
     @classmethod
     def of(cls, target: Target | None, before: Before) -> Decision | None:
-        """Return the decision for which a test is planned; None for any other target."""
+        """Return the decision that a `DamageTarget` describes, or None for any other target."""
         damage = damage_in(target)
         if damage is None:
             return None
         return cls(damage.names, damage.beyond, losses_of(damage, before, before.reference[None])[0])
 
     def expect(self, rows: FloatArray, state: State) -> pd.DataFrame:
-        """Return a table of the expected results of a test for each loss; see the formula in the module docstring.
+        """Return a table of the test's expected result for each loss, by the formula in the module docstring.
 
         Columns: ``sd_before`` and ``sd_after`` of the loss; ``before``, the probability before the test that the
         loss exceeds x; and the expected probability after it, ``if_none`` if there is no loss (false alarm) and
@@ -162,7 +165,7 @@ class Decision:
         return {"if_none": float(table["if_none"].max()), "if_twice": float(table["if_twice"].min())}
 
     def sentences(self, table: pd.DataFrame) -> list[str]:
-        """Return sentences on the table of `expect`."""
+        """Return one sentence for each row of the table from `expect`."""
         beyond, twice = share(self.beyond), share(2.0 * self.beyond)
         return [
             f"The probability that {name} has lost more than {beyond} is {probably(row.before)} before the test. "
@@ -173,5 +176,5 @@ class Decision:
 
 
 def with_probabilities_in_words(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table with its probabilities as text, such as ``"32 %"`` or ``"< 1 %"``."""
+    """Return the table with its probabilities as text, such as ``"32 %"`` or ``"< 1 %"``."""
     return table.assign(**{key: table[key].map(probably) for key in PROBABILITIES if key in table})

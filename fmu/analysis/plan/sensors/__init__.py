@@ -1,1 +1,1 @@
-"""Choices of sensors by their expected information, an upper bound of it, and choices by the customary rules."""
+"""Sensor selection by expected information, an upper bound on it, and selection by customary rules."""

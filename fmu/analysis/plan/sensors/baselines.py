@@ -1,4 +1,4 @@
-"""Choices of sensors by the customary rules, which compare shapes and ignore the parameters."""
+"""Customary rules for sensor selection, which compare mode shapes and ignore the parameters."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from fmu.types import FloatArray, IntArray
 
 
 def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Return a choice by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
+    """Choose sensors by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
 
-    The candidate that contributes least to the independence of the shapes is removed repeatedly. Its contribution
-    is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor.
+    The candidate that contributes least to the linear independence of the mode shapes is removed repeatedly. Its
+    contribution is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor.
 
     Parameters
     ----------
     shapes : ndarray, shape (rows, m)
-        Shapes at the reference parameters.
+        Mode shapes at the reference parameters.
     groups : ndarray of int, shape (n_candidates, d)
+        Channel indices of each candidate, padded with −1.
     limits : Limits
     """
     shapes = np.concatenate([shapes, np.zeros((1, shapes.shape[1]))])
@@ -37,12 +38,12 @@ def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits)
 
 
 def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Return the candidates with the largest shares of the modes' kinetic energy.
+    """Choose the candidates with the most kinetic energy in the modes.
 
     Parameters
     ----------
     energy : ndarray, shape (rows,)
-        Kinetic energy φ_q (Mφ)_q at each row, summed over the modes, each of unit modal mass.
+        Kinetic energy φ_q (Mφ)_q at each channel, summed over the modes, each of unit modal mass.
     groups, limits
         As in `effective_independence`.
     """
@@ -51,7 +52,7 @@ def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tupl
 
 
 def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Return a choice with a small AutoMAC off the diagonal (Carne & Dohrmann 1995).
+    """Choose sensors so that the AutoMAC has small off-diagonal entries (Carne & Dohrmann 1995).
 
     As many candidates as there are modes are chosen by effective independence. Then the candidate that minimises
     the largest off-diagonal entry is added repeatedly.
@@ -69,7 +70,7 @@ def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> t
 
 
 def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> tuple[int, ...]:
-    """Return the choice of a rule with the largest number of sensors whose cost is within the budget."""
+    """Return the largest choice by a rule whose cost is within the budget; empty if not even one sensor is."""
     for count in range(limits.count, 0, -1):
         chosen = rule(replace(limits, count=count))
         if limits.is_affordable(chosen):
@@ -78,7 +79,7 @@ def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> 
 
 
 def largest_off_diagonal(products: FloatArray) -> FloatArray:
-    """Return the largest MAC of two different shapes, from their products ΦᵀΦ (…, m, m)."""
+    """Return the largest MAC between two different mode shapes, shape (…), given their products ΦᵀΦ (…, m, m)."""
     m = products.shape[-1]
     if m == 1:
         return np.zeros(products.shape[:-2])
@@ -90,7 +91,7 @@ def largest_off_diagonal(products: FloatArray) -> FloatArray:
 
 
 def auto_mac(shapes: FloatArray, rows: Sequence[int]) -> FloatArray:
-    """Return the AutoMAC (m, m) of shapes (rows, m) at some rows."""
+    """Return the AutoMAC (m, m) of mode shapes (rows, m), using only the given rows."""
     picked = shapes[list(rows)]
     return mac(picked, picked)
 

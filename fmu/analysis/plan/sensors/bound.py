@@ -1,7 +1,7 @@
-"""Upper bound of the information of any choice of sensors, by convex relaxation (Joshi & Boyd 2009).
+"""Upper bound on the information of any sensor choice, by convex relaxation (Joshi & Boyd 2009).
 
-A weight between 0 and 1 for each candidate replaces the choice. The information of shapes with unknown scales is a
-Schur complement of a matrix that is linear in the weights, so that the expected information is concave in them. In
+A weight between 0 and 1 for each candidate replaces the choice. The information of mode shapes with unknown scales
+is a Schur complement of a matrix that is linear in the weights, so the expected information is concave in them. In
 the notation of `fmu.analysis.plan.sensors.information`, the Schur complement at weights v is at most
 Σ_q v_q (j_q − φ_q b)(j_q − φ_q b)ᵀ for any vectors b, with equality for the b that belong to v. At any weights w,
 the best choice v therefore has at most
@@ -9,9 +9,9 @@ the best choice v therefore has at most
     value(w) + g·v − ½ E tr V (A(w) − A₀), g_q = ½ E Σ_i ‖Fᵀ(j_q − φ_q b)‖², V = FFᵀ,
 
 where V is the derivative of 2 value with respect to A at w. This is largest for the candidates with the largest g
-(per cost). With the b of w, g is the gradient. If some mode hardly moves the sensors with weight, w does not
-determine its b. The b of a mixture of w with uniform weights then gives a tighter bound. Each step of the ascent
-gives a bound; the smallest is used.
+(per cost). With the b of w, g is the gradient. If some mode hardly moves the weighted sensors, w does not
+determine that mode's b; the b of a mixture of w and uniform weights then gives a tighter bound. Each step of the
+ascent gives a bound; the smallest is used.
 
 References
 ----------
@@ -37,14 +37,14 @@ _STALLED = 1e-5  # relative increase of the value between two bounds
 
 
 class Relaxed(NamedTuple):
-    """The relaxed choice.
+    """Result of the convex relaxation.
 
     Attributes
     ----------
     bound : float
-        Expected information that no choice exceeds, in nats.
+        Upper bound on the expected information of any choice, in nats.
     weights : ndarray, shape (n_candidates,)
-        Weights with nearly this information.
+        Weights that nearly attain the largest relaxed information.
     """
 
     bound: float
@@ -52,11 +52,11 @@ class Relaxed(NamedTuple):
 
 
 def relax(readings: Readings, limits: Limits, steps: int = _STEPS) -> Relaxed:
-    """Return an upper bound of the information of all choices within the limits of number and cost.
+    """Bound the information of all choices within the limits on number and cost.
 
-    The smallest distance between sensors is ignored, which leaves the bound valid. The ascent is a projected
-    gradient method with Barzilai–Borwein steps. It ends when the bound exceeds the value by at most 0.1 % or the
-    value hardly increases.
+    The minimum distance between sensors is ignored, which leaves the bound valid. The ascent is a projected
+    gradient method with Barzilai–Borwein steps. It ends when the bound exceeds the value by at most 0.1 %, or when
+    the value hardly increases.
     """
     by_cost = np.isfinite(limits.budget)
     price = limits.cost if by_cost else np.ones(len(limits.cost))
@@ -94,7 +94,7 @@ def relax(readings: Readings, limits: Limits, steps: int = _STEPS) -> Relaxed:
 
 
 class _Point(NamedTuple):
-    """Value and gradient at certain weights; `used` is ½ E tr V (A − A₀), and F satisfies FFᵀ = V."""
+    """Value and gradient at given weights; `used` is ½ E tr V (A − A₀), and F satisfies FFᵀ = V."""
 
     value: float
     slope: FloatArray
@@ -103,7 +103,7 @@ class _Point(NamedTuple):
 
 
 def _state(readings: Readings, w: FloatArray) -> State:
-    """Return the information at weights w (n_candidates,)."""
+    """Return the information state for weights w (n_candidates,)."""
     weight = np.zeros(readings.shapes.shape[1])
     for column in readings.groups.T:
         np.add.at(weight, column[column >= 0], w[column >= 0])
@@ -118,7 +118,6 @@ def _state(readings: Readings, w: FloatArray) -> State:
 
 
 def _at(readings: Readings, w: FloatArray) -> _Point:
-    """Return value and gradient at weights w (n_candidates,)."""
     state = _state(readings, w)
     F = readings.weights_of_directions(state)
     used = 0.5 * float(np.mean(np.einsum("npt,npr,nrt->n", F, state.matrix - readings.prior, F)))
@@ -126,7 +125,7 @@ def _at(readings: Readings, w: FloatArray) -> _Point:
 
 
 def _majorant(readings: Readings, here: _Point, mixed: FloatArray) -> FloatArray:
-    """Return g as in the module's docstring, with the b of the weights `mixed`, shape (n_candidates,)."""
+    """Return g of the module docstring, shape (n_candidates,), with the b that belong to the weights `mixed`."""
     return _by_candidate(readings, here.F, _state(readings, mixed).lost)
 
 
@@ -139,7 +138,7 @@ def _by_candidate(readings: Readings, F: FloatArray, b: FloatArray) -> FloatArra
 
 
 def _best(slope: FloatArray, price: FloatArray, amount: float, free: BoolArray) -> FloatArray:
-    """Return weights v that maximise slope·v, with 0 ≤ v ≤ 1 and price·v ≤ amount; 1 where they are fixed."""
+    """Return weights v that maximise slope·v for 0 ≤ v ≤ 1 and price·v ≤ amount; 1 for mounted candidates."""
     v = np.where(free, 0.0, 1.0)
     per_price = slope / np.where(free, price, 1.0)
     left = amount
@@ -151,7 +150,7 @@ def _best(slope: FloatArray, price: FloatArray, amount: float, free: BoolArray) 
 
 
 def _project(w: FloatArray, price: FloatArray, amount: float, free: BoolArray) -> FloatArray:
-    """Return the nearest weights with 0 ≤ v ≤ 1 and price·v = amount, by bisection; 1 where they are fixed."""
+    """Project w onto 0 ≤ v ≤ 1 and price·v = amount by bisection; mounted candidates get weight 1."""
     low, high = -np.max(np.abs(w)) - 1.0, np.max(np.abs(w)) + 1.0
     scale = 1.0 / np.min(price[free])
     low, high = low * scale, high * scale

@@ -1,8 +1,8 @@
-"""Choice of sensors: greedy by expected information, then exchanges of one sensor at a time.
+"""Sensor selection: greedy by expected information, then exchanges of one sensor at a time.
 
 For independent errors the greedy choice reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher
-1978, *Math. Program.* 14, 265–294). There is no such guarantee for shapes of unknown scale; `bound` then shows how
-far from the best a choice can be.
+1978, *Math. Program.* 14, 265–294). Mode shapes of unknown scale have no such guarantee; `bound` then shows how
+far a choice can be from the best.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _LEAST_GAIN = 1e-9
 _ROUNDING = 1e-12
 
 Accept = Callable[[Sequence[int]], bool]
-"""Function that decides whether a choice of candidates, without the mounted ones, is acceptable."""
+"""Function that returns True if a choice of candidates, without the mounted ones, is acceptable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of a choice of candidates.
+    """Limits on a choice of candidates.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Limits:
     budget : float
         Largest total cost of the chosen sensors; infinite without a budget.
     near : ndarray of bool, shape (n_candidates, n_candidates), or None
-        Pairs of candidates that are too close to each other.
+        Mask of the candidate pairs that are too close together.
     """
 
     count: int
@@ -50,7 +50,7 @@ class Limits:
     near: BoolArray | None = None
 
     def find_allowed(self, chosen: Sequence[int]) -> BoolArray:
-        """Return a mask (n_candidates,) of the candidates that may be added to the chosen ones."""
+        """Return a mask (n_candidates,) of the candidates that may still be added to the chosen ones."""
         every = [*self.mounted, *chosen]
         found = np.ones(len(self.cost), dtype=bool)
         found[every] = False
@@ -60,17 +60,18 @@ class Limits:
         return found & (self.cost <= left * (1.0 + _ROUNDING))
 
     def is_affordable(self, chosen: Sequence[int]) -> bool:
-        """Return True if the cost of the chosen candidates is within the budget."""
+        """Return True if the chosen candidates are within the budget."""
         return float(np.sum(self.cost[list(chosen)])) <= self.budget * (1.0 + _ROUNDING)
 
 
 def choose(
     readings: Readings, limits: Limits, starts: Sequence[Sequence[int]] = (), accept: Accept | None = None
 ) -> tuple[int, ...] | None:
-    """Return the chosen candidates, the most important first, without the mounted ones.
+    """Choose candidates by greedy selection and exchanges; return them without the mounted ones.
 
-    Greedy choices and `starts`, which may violate limits, are improved by exchanges, and the best is returned.
-    With `accept`, only choices that it accepts are considered; the result is None if it accepts no initial choice.
+    The most important candidate comes first. The exchanges start from greedy choices and from `starts`, which may
+    violate limits; the best result is returned. With `accept`, only choices that it accepts are considered; the
+    result is None if it accepts no initial choice.
     """
     found = [greedy(readings, limits)]
     if np.isfinite(limits.budget):
@@ -89,10 +90,10 @@ def choose(
 def greedy(
     readings: Readings, limits: Limits, by_cost: bool = False, chosen: Sequence[int] = ()
 ) -> tuple[int, ...]:
-    """Return candidates chosen one after another, each with the largest gain, or the largest gain per cost.
+    """Add candidates one at a time, each with the largest gain or, with `by_cost`, the largest gain per cost.
 
-    A single sensor gives no information on a shape whose scale is unknown. If no candidate has a gain, the first
-    sensor is placed where the modes move most.
+    A single sensor gives no information on a mode shape whose scale is unknown. If no candidate has a gain, the
+    first sensor is therefore placed where the modes move most.
     """
     found = list(chosen)
     state = readings.with_sensors([*limits.mounted, *found])
@@ -110,7 +111,7 @@ def greedy(
 
 
 def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[int, ...]:
-    """Return a choice within the limits: the candidates of `start` that fit, and others in order of gain."""
+    """Return a choice within the limits: the candidates of `start` that fit, then others by greedy selection."""
     found: list[int] = []
     for k in start:
         if len(found) < limits.count and limits.find_allowed(found)[k]:
@@ -121,7 +122,7 @@ def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[in
 def exchange(
     readings: Readings, limits: Limits, chosen: Sequence[int], accept: Accept | None = None
 ) -> tuple[int, ...]:
-    """Return a choice that no exchange of a single sensor improves, among the choices that `accept` accepts."""
+    """Exchange single sensors as long as this improves the choice; only choices that `accept` accepts are used."""
     found = list(chosen)
     value = readings.value_of([*limits.mounted, *found])
     for _ in range(_MOST_SWEEPS):
@@ -143,7 +144,7 @@ def exchange(
 
 
 def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Return the chosen sensors in order of importance: each was the least important until it was given up."""
+    """Sort the chosen sensors by importance, by repeatedly removing the least important; most important first."""
     left, order = list(chosen), []
     while left:
         values = [readings.value_of([*limits.mounted, *left[:i], *left[i + 1 :]]) for i in range(len(left))]
@@ -152,9 +153,9 @@ def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple
 
 
 def visibility(readings: Readings) -> FloatArray:
-    """Return how much the modes move each candidate, shape (n_candidates,).
+    """Return how visible the modes are at each candidate, shape (n_candidates,).
 
-    This is φ² relative to its largest value, summed over the modes and averaged over the draws.
+    The measure is φ² relative to its largest value, summed over the modes and averaged over the draws.
     """
     square = readings.shapes**2
     largest = np.max(square, axis=1, keepdims=True)
@@ -163,7 +164,7 @@ def visibility(readings: Readings) -> FloatArray:
 
 
 def near_pairs(places: FloatArray, distance: float) -> BoolArray:
-    """Return a mask (n, n) of the pairs of places (n, 3) that are closer to each other than `distance`, in m."""
+    """Return a mask (n, n) of the pairs of places (n, 3) that are closer together than `distance`, in m."""
     square = np.sum((places[:, None] - places[None]) ** 2, axis=2)
     near: IntArray | BoolArray = square < (distance * (1.0 - 1e-9)) ** 2
     np.fill_diagonal(near, False)

@@ -1,8 +1,8 @@
-"""Expected information on the parameters from a modal test, by the model linearised at draws.
+"""Expected information on the parameters from a modal test, with the model linearised at draws.
 
 At each draw, the parameters are scaled so that their covariance before the test is the identity matrix. Sensor q
 reads y = a_i φ_i(θ)_q + e in mode i, with an unknown scale a_i. Let φ_i and its derivatives J_i be divided, row by
-row, by the standard deviation of e. The shapes then add to the information matrix
+row, by the standard deviation of e. The mode shapes then add to the information matrix
 
     Σ_i [ J_iᵀJ_i − (J_iᵀφ_i)(φ_iᵀJ_i) / (φ_iᵀφ_i) ],
 
@@ -30,18 +30,18 @@ from fmu.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The readings of the modes at the candidate sensors, linearised at n draws of p parameters.
+    """Linearised mode-shape readings at the candidate sensors, at n draws of p parameters.
 
     Attributes
     ----------
     prior : ndarray, shape (n, p, p)
-        Information before any sensor: the identity matrix and the information of the frequencies.
+        Information before any sensor is placed: the identity matrix plus the information of the frequencies.
     shapes : ndarray, shape (n, rows, modes)
-        Shapes in standard deviations of their errors; the last row is zero.
+        Mode shapes divided by the standard deviations of their errors; the last row is zero.
     slopes : ndarray, shape (n, rows, modes, p)
         Derivatives of these shapes with respect to the scaled parameters.
     groups : ndarray of int, shape (n_candidates, d)
-        Rows of each candidate: one for a uniaxial sensor, three for a triaxial one. −1 stands for no row.
+        Rows of each candidate: one for a uniaxial sensor, up to three for a triaxial one, padded with −1.
     target : ndarray, shape (n, t, p), or None
         Combinations of the scaled parameters that matter; None if all parameters matter equally.
     """
@@ -58,7 +58,7 @@ class Readings:
         return State(self.prior, np.zeros((n, m, p)), np.zeros((n, m)))
 
     def with_sensors(self, chosen: Sequence[int], state: State | None = None) -> State:
-        """Return the information with additional candidates, given by their indices."""
+        """Return the information after adding the candidates with these indices."""
         found = self.start() if state is None else state
         for k in chosen:
             for row in self.groups[k][self.groups[k] >= 0]:
@@ -66,7 +66,7 @@ class Readings:
         return found
 
     def value(self, state: State) -> float:
-        """Return the expected information gain in nats, on the target or on all parameters."""
+        """Return the expected information gain in nats, about the target or about all parameters."""
         if self.target is None:
             return 0.5 * float(np.mean(np.linalg.slogdet(state.matrix)[1]))
         left = self.target @ np.linalg.solve(state.matrix, np.swapaxes(self.target, 1, 2))
@@ -74,14 +74,14 @@ class Readings:
         return 0.5 * float(np.mean(np.linalg.slogdet(before)[1] - np.linalg.slogdet(left)[1]))
 
     def value_of(self, chosen: Sequence[int]) -> float:
-        """Return the expected information gain of a choice of candidates in nats."""
+        """Return the expected information gain, in nats, of measuring the chosen candidates."""
         return self.value(self.with_sensors(chosen))
 
     def gains(self, state: State) -> FloatArray:
-        """Return the increase of `value` due to each candidate, (n_candidates,).
+        """Return the increase in `value` due to each candidate, shape (n_candidates,).
 
-        With the new rows R of a candidate and P = A⁻¹, log det A grows by log det(I + R P Rᵀ). If a target T
-        matters, the growth is log det(I + R P Rᵀ) − log det(I + R (P − V) Rᵀ) with V = P Tᵀ (T P Tᵀ)⁻¹ T P.
+        With a candidate's new rows R and P = A⁻¹, log det A grows by log det(I + R P Rᵀ). If a target T matters,
+        the growth is log det(I + R P Rᵀ) − log det(I + R (P − V) Rᵀ) with V = P Tᵀ (T P Tᵀ)⁻¹ T P.
         """
         whole, rest = self._factors(state)
         found = np.zeros(len(self.groups))
@@ -93,7 +93,7 @@ class Readings:
         return 0.5 * found / len(whole)
 
     def weights_of_directions(self, state: State) -> FloatArray:
-        """Return F (n, p, t) with F Fᵀ = V, the derivative of 2 `value` with respect to A, at each draw."""
+        """Return F (n, p, t) such that F Fᵀ = V, the derivative of 2 `value` with respect to A, at each draw."""
         whole, rest = self._factors(state)
         if rest is None:
             return whole
@@ -103,7 +103,7 @@ class Readings:
         return np.asarray(whole @ np.linalg.qr(W)[0])
 
     def _factors(self, state: State) -> tuple[FloatArray, FloatArray | None]:
-        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V; None without a target."""
+        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V; D is None without a target."""
         L = np.linalg.cholesky(state.matrix)
         C = np.swapaxes(np.linalg.inv(L), 1, 2)
         if self.target is None:
@@ -113,7 +113,7 @@ class Readings:
         return C, C @ Q[:, :, W.shape[2] :]
 
     def _new_rows(self, i: int, state: State) -> FloatArray:
-        """Return the rows r that each candidate adds at a draw, shape (n_candidates, d · modes, p)."""
+        """Return the rows r that each candidate adds at draw i, shape (n_candidates, d · modes, p)."""
         b, N = state.lost[i, None], state.size[i, None]
         parts = []
         for t, column in enumerate(self.groups.T):
@@ -129,12 +129,12 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The information from the sensors placed so far, at each draw; for the symbols see the module.
+    """Information from the sensors placed so far, at each draw; the module docstring defines the symbols.
 
     Attributes
     ----------
     matrix : ndarray, shape (n, p, p)
-        The information matrix A.
+        Information matrix A.
     lost : ndarray, shape (n, modes, p)
         b of each mode.
     size : ndarray, shape (n, modes)
@@ -146,7 +146,7 @@ class State:
     size: FloatArray
 
     def with_row(self, phi: FloatArray, j: FloatArray) -> State:
-        """Return the information with one more row of shapes (n, modes) and slopes (n, modes, p)."""
+        """Return the information after adding one row of shapes, phi (n, modes), and slopes, j (n, modes, p)."""
         total = self.size + phi**2
         share = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
         off = j - phi[..., None] * self.lost
@@ -159,7 +159,7 @@ class State:
 
 
 def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> Readings:
-    """Return the readings of the `modes` only, by index, with the information `prior` of their frequencies."""
+    """Return the readings of only the given modes, with the information `prior` from their frequencies."""
     picked = list(modes)
     return replace(
         readings, prior=prior, shapes=readings.shapes[:, :, picked], slopes=readings.slopes[:, :, picked]
@@ -167,7 +167,7 @@ def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> R
 
 
 def _log_det_of_one_plus(rows: FloatArray) -> FloatArray:
-    """Return log det(I + R Rᵀ) for each matrix R (n, k, p), from the smaller of R Rᵀ and RᵀR."""
+    """Return log det(I + R Rᵀ) for each matrix R (n, k, p), shape (n,), from the smaller of R Rᵀ and RᵀR."""
     n, k, p = rows.shape
     size = min(k, p)
     first = rows if k <= p else np.swapaxes(rows, 1, 2)
