@@ -1,4 +1,4 @@
-"""Built-in problems, each of which is a TOML file in this folder, like those that users write."""
+"""Built-in problems. Each is a TOML file in this folder, in the format that users write."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def describe(name: str) -> str:
 
 @check_arguments
 def path(name: str) -> Path:
-    """Return the path of the TOML file of a case, which may serve as a template.
+    """Return the path to a case's TOML file, which may serve as a template.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def load(
     *,
     engine: Engine | None = None,
 ) -> UpdatingProblem:
-    """Return a built-in problem.
+    """Load a built-in problem.
 
     Parameters
     ----------

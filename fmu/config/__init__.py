@@ -1,4 +1,4 @@
-"""Updating problems that are read from TOML files.
+"""Reads updating problems from TOML files.
 
 Reading order: tables, problem; then a module for each table of the file: models/, parameters, measurement, errors.
 """
@@ -51,7 +51,7 @@ def load(
     *,
     engine: Engine | None = None,
 ) -> UpdatingProblem:
-    """Return the updating problem that a TOML file describes.
+    """Load an updating problem from a TOML file.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def load(
 
 
 def read(path: Path) -> ProblemFile:
-    """Return the content of a problem file, with the types and ranges of its values checked; see `load`."""
+    """Read a problem file, and check the types and ranges of its values. Raises the same errors as `load`."""
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile
@@ -108,7 +108,7 @@ def read(path: Path) -> ProblemFile:
 
 
 def _parse_toml(path: Path) -> dict[str, object]:
-    """Return the content of a TOML file as a dict. Raise ValueError if the file is invalid TOML or too large.
+    """Parse a TOML file into a dict. Raise ValueError if the file is invalid TOML or too large.
 
     Dotted keys are checked first, because the parser's memory grows with the square of their length.
     """
@@ -137,7 +137,7 @@ def _parse_toml(path: Path) -> dict[str, object]:
 
 
 def _out_of_size(content: Mapping[str, object]) -> Iterator[ArgumentError]:
-    """Yield an error for each table or list nested too deeply and for each number that is too large or small."""
+    """Yield an error for each table or list that is nested too deeply, and for each number out of range."""
     ahead: list[tuple[tuple[int | str, ...], object]] = [((), content)]
     while ahead:
         where, value = ahead.pop()

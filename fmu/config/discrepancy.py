@@ -1,4 +1,4 @@
-"""``[[discrepancy]]``: errors of the model itself."""
+"""``[[discrepancy]]``: model discrepancy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fmu.posterior.discrepancy.embedded import Discrepancy
 
 
 class DiscrepancyTable(TomlTable):
-    """Error of the model itself, since no parameter values make a wrong model fit all modes."""
+    """Model discrepancy: the errors that no parameter values can remove, because the model is imperfect."""
 
     kind: Literal["embedded", "modes"]
     """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors whatever the
@@ -41,5 +41,5 @@ class DiscrepancyTable(TomlTable):
     appended."""
 
     def build(self) -> Discrepancy:
-        """Return the discrepancy that the table describes."""
+        """Return the discrepancy described by this table."""
         return Discrepancy(**dict(self) | {"groups": tuple(self.groups)})

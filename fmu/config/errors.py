@@ -1,4 +1,4 @@
-"""``[[error]]``: error models, and the standard deviations that are inferred together with the parameters."""
+"""``[[error]]``: error models, and standard deviations that are inferred together with the parameters."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
 def _in_a_file(annotation: object) -> object:
-    """Return the TOML type for an argument of an error model, such as a list of numbers for an array.
+    """Return the TOML type for an error model argument, such as a list of numbers for an array.
 
-    A parameter, that is an inferred standard deviation, is given by its name in the file.
+    An inferred standard deviation (a Parameter argument) is given in the file by name.
     """
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
@@ -56,19 +56,18 @@ def build_error_models(
     known: Sequence[str],
     read_frfs: Callable[..., tuple[list[FRFErrors], list[ArgumentError]]] | None,
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
-    """Return the list of error models, and the list of errors in their tables.
+    """Build the error models, and collect the errors in their tables.
 
     Parameters
     ----------
     tables : sequence of ErrorTable
     noise : mapping of str to Parameter
-        Standard deviations to be inferred, by name.
+        Inferred standard deviations, by name.
     known : sequence of str
-        Names of all noise tables in the order of the file; invalid tables have no entry in `noise`.
+        Names of all noise tables in file order; invalid tables have no entry in `noise`.
     read_frfs : callable or None
-        Takes the number and the table of an ``[[error]]`` of frequency response functions, and the parameters by
-        key. Returns the error models of the functions, and the list of errors in the table. None if there is no
-        such table.
+        Called with the index and table of each ``[[error]]`` of FRFs, and the inferred parameters by key. Returns
+        the FRF error models, and the errors in the table. None if there is no such table.
     """
     models: list[ErrorModel] = []
     found, used = [], set()
@@ -99,12 +98,12 @@ def build_error_models(
 
 
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return the error models with the names of places replaced by nodes of the model."""
+    """Return the error models with place names replaced by model nodes."""
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 
 def is_of_modes(model: ErrorModel) -> bool:
-    """Return True if an error model applies to modes, not to another quantity such as a mass or displacement."""
+    """Return True if an error model applies to modes, or False for another quantity, such as a displacement."""
     return not _are_of_quantities(model)
 
 
@@ -113,7 +112,7 @@ def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
 
 
 def _noises(table: Declared) -> dict[str, str]:
-    """Return a dict that maps each key of a table that refers to a noise table to the name of that table."""
+    """Return the noise table names that an error table refers to, by key."""
     hints = get_type_hints(table.makes[0])
     return {
         key: str(value)
@@ -123,7 +122,7 @@ def _noises(table: Declared) -> dict[str, str]:
 
 
 def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
-    """Return an error for each ``sd`` that is given although the scatter of the tests determines it.
+    """Return an error for each ``sd`` that is given although the scatter of the tests already determines it.
 
     One of the two would be ignored.
     """
@@ -150,11 +149,11 @@ def vanishing(
     Parameters
     ----------
     noise : mapping of str to Parameter
-        Inferred standard deviations by name, in the order of the file.
+        Inferred standard deviations by name, in file order.
     models : sequence of ErrorModel
     data : ModalData
     n_parameters : int
-        Number of parameters of the structure.
+        Number of structural parameters.
     """
     counts, bounded = dict.fromkeys(noise, 0), set()
     for model in models:

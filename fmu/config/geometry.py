@@ -1,4 +1,4 @@
-"""``[measurement.geometry]``: coordinates of the points of a test, used to match the points to nodes."""
+"""``[measurement.geometry]``: coordinates of measurement points, used to match the points to nodes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNIVERSAL = (".uff", ".unv")
 
 
 class GeometryTable(TomlTable):
-    """Coordinates of the points at which a test measured; sensors then name points, in the axes of the test.
+    """Coordinates of the measurement points, in the test's axes; sensors then name these points.
 
     They are rotated and translated to fit the model, never scaled or mirrored; each sensor is at the nearest node.
     """
@@ -43,9 +43,9 @@ class GeometryTable(TomlTable):
         return self
 
     def build(self, folder: Path, built: Built) -> Matching:
-        """Return the matching of points to nodes.
+        """Match the points to nodes.
 
-        Raises BrokenError if it fails or if nodes have no coordinates.
+        Raises BrokenError if this fails or if nodes have no coordinates.
         """
         model = built.separable
         if model is None or model.geometry is None:

@@ -23,7 +23,7 @@ _ABOUT = (
 
 
 class Orders(TypedDict, total=False):
-    """The options of ``fmu run``; options that did not exist in an earlier version may be missing."""
+    """Options given to ``fmu run``. Options that did not exist in an earlier version may be missing."""
 
     samplers: Sequence[str]
     draws: int | None
@@ -46,20 +46,20 @@ class Orders(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class KeptProblem:
-    """A problem file and the options of a run with it.
+    """A problem file, and the options with which it was run.
 
     Attributes
     ----------
     file : Path
         The problem file.
     folder : Path
-        Directory to which file names in the problem file are relative.
+        Directory that file names in the problem file are relative to.
     pairing : str or None
         How modes are paired; None to use the setting in the file.
     orders : Orders
-        The options of the run: samplers, draws, seed and so on.
+        Run options: samplers, draws, seed and so on.
     finished : tuple of str
-        The samplers that have finished.
+        Samplers that have finished.
     """
 
     file: Path
@@ -69,7 +69,7 @@ class KeptProblem:
     finished: tuple[str, ...] = ()
 
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
-        """Return the updating problem, with its reduced model trained by `engine` if given.
+        """Load the updating problem, training its reduced model with `engine` if given.
 
         Raises ConfigurationError if the problem cannot be built.
         """
@@ -78,7 +78,7 @@ class KeptProblem:
         return config.read(self.file).build(self.file.name, self.folder, self.pairing, engine=engine)
 
     def save(self, directory: Path) -> None:
-        """Write a copy of the problem file and the options of the run to a directory, for `read_saved` to read."""
+        """Write a copy of the problem file and the run options to a directory, for `read_saved` to read."""
         origin = {
             "about": _ABOUT,
             "file": self.file.name,
@@ -93,15 +93,14 @@ class KeptProblem:
 
 
 def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
-    """Return the problem and the options that a run saved.
+    """Read the problem and the options that a run saved.
 
     Parameters
     ----------
     directory : Path
-        Directory of the run.
+        The run's directory.
     model : Path, optional
-        The problem file to use instead of the saved one, for example if that is missing or the files to which it
-        refers have moved.
+        Problem file to use instead of the saved one, for example if that is missing or its input files have moved.
 
     Raises
     ------

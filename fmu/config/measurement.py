@@ -1,4 +1,4 @@
-"""``[measurement]``: the modes of a test."""
+"""``[measurement]``: the modes measured in a test."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class MeasurementTable(TomlTable):
     """The measured modes: ``frequencies``, ``tests``, ``tests_file``, ``file``, or the table of a file format.
 
     The frequency errors are given by ``sd`` in Hz, ``beta`` = 1/(2 sd²) or ``covariance`` in Hz², which replace
-    the errors in a file. ``tests`` are repeated tests, one row per test, nan where it missed a mode; their scatter
+    the errors in a file. ``tests`` are repeated tests, one row per test, nan if it missed a mode; their scatter
     gives the error. ``shapes`` has one row per mode with a value per sensor; instead, ``shapes_file`` names a
     table, or ``test_shapes`` has the shapes of each test.
     """
@@ -173,41 +173,41 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"{key} must be {n_modes}, one per mode (got {n})")
 
     def _count_modes(self) -> int | None:
-        """Return the number of modes; None if it is known only from a file."""
+        """Return the number of modes, or None if only a file gives it."""
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
         return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
-        """Return the keys among `keys` that the file gives in this table."""
+        """Return the keys, among `keys`, that this table in the file contains."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property
     def _source(self) -> str:
-        """The key that gives the frequencies."""
+        """Key that gives the frequencies."""
         return self._find_given(self.sources)[0]
 
     @property
     def _reads_shapes(self) -> bool:
-        """Whether the frequencies come from a file format with shapes, whose reader takes the key ``sensors``."""
+        """Whether the frequencies come from a file format that also contains mode shapes."""
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list with an error if the uncertainty of the frequencies is needed but not given."""
+        """Return an error in a list if a frequency uncertainty is needed but missing; otherwise an empty list."""
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
-        """Return the measured data at sensors of the model. Raise BrokenError if they cannot be built.
+        """Build the measured data at model sensors. Raise BrokenError if they cannot be built.
 
         Parameters
         ----------
         folder : Path
-            The folder to which file names are relative.
+            Folder that file names are relative to.
         built : Built
             The model with its named places.
         needs_trust : bool
-            Whether the measurement must give the uncertainty of the frequencies, because no error model does.
+            Whether the measurement must give the frequencies' uncertainty, because no error model does.
         """
         given = self._read(folder)
         points = None if self.geometry is None else self.geometry.build(folder, built)
@@ -248,7 +248,7 @@ class MeasurementTable(TomlTable):
             raise BrokenError(wrong.under("measurement")) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
-        """Return the covariance of the frequencies in Hz², or None.
+        """Return the frequency covariance in Hz², shape (n_modes, n_modes), or None if it is not given.
 
         Raises BrokenError if its file cannot be read.
         """
@@ -265,7 +265,7 @@ class MeasurementTable(TomlTable):
         return np.asarray(matrix.toarray())
 
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
-        """Return modes with sensors and shapes rotated to the axes of the model, unless they are parallel."""
+        """Rotate sensors and mode shapes to the model's axes, unless the test's axes are parallel to them."""
         if points is None or points.is_parallel:
             return modes
         if self.test_shapes is not None and modes.shapes_sd is not None:
@@ -279,11 +279,11 @@ class MeasurementTable(TomlTable):
 
     @property
     def _where(self) -> str:
-        """The key that gives the sensors."""
+        """Key that gives the sensors."""
         return "sensors" if self.sensors else self._source if self._reads_shapes else "shapes_file"
 
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
-        """Return the sensors of the model at the given places and directions.
+        """Return the model's sensor for each given (place, direction).
 
         Raises BrokenError if any does not exist.
         """
@@ -306,7 +306,7 @@ class MeasurementTable(TomlTable):
         return tuple(sensors)
 
     def _read(self, folder: Path) -> ModesGiven:
-        """Return the modes, tests and covariance from the source of the frequencies, with shapes and sensors."""
+        """Read the modes, tests and covariance from the source of the frequencies, and add shapes and sensors."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         given = self._read_frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
         if self._reads_shapes:
@@ -326,7 +326,7 @@ class MeasurementTable(TomlTable):
         return given._replace(modes=modes)
 
     def _read_frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> ModesGiven:
-        """Return the frequencies, with the uncertainty, labels, numbers and tests that their source contains."""
+        """Read the frequencies, with any uncertainties, labels, numbers and tests that their source contains."""
         if self.frequencies is not None:
             return ModesGiven(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
@@ -345,7 +345,7 @@ class MeasurementTable(TomlTable):
 
 
 class ModesGiven(NamedTuple):
-    """The data from a source: modes, the repeated tests that were averaged, and the covariance of their mean."""
+    """Data from one source: modes, the repeated tests that were averaged, and their mean's covariance in Hz²."""
 
     modes: MeasuredModes
     tests: RepeatedTests | None = None
@@ -353,7 +353,7 @@ class ModesGiven(NamedTuple):
 
 
 def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> ModesGiven:
-    """Return the mean of repeated tests with its uncertainty.
+    """Return the mean of repeated tests, with its uncertainty.
 
     Raises BrokenError at `key` if the tests are invalid.
     """
@@ -368,7 +368,7 @@ def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = (
 def _repeated_shapes(
     shapes: list[list[list[float]]], tests: RepeatedTests
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Return the mean of the tests' shapes, (n_sensors, n_modes), and its standard deviation or None.
+    """Return the tests' mean mode shapes, shape (n_sensors, n_modes), and their standard deviations or None.
 
     Raises BrokenError if the shapes do not match the tests.
     """

@@ -28,7 +28,7 @@ _PATTERNS = {
 
 
 class BrokenError(Exception):
-    """Raised if a part of the problem cannot be built; `mistakes` is the tuple of errors found."""
+    """Raised when part of the problem cannot be built; `mistakes` is a tuple of the errors found."""
 
     def __init__(self, *mistakes: ArgumentError) -> None:
         self.mistakes = mistakes
@@ -39,22 +39,22 @@ class BrokenError(Exception):
 
 
 class Mistakes(list[ArgumentError]):
-    """A list of errors in a problem file that are reported together."""
+    """Collects errors in a problem file, so that all are reported together."""
 
     def add(self, key: str, rule: str, value: object = "") -> None:
-        """Append an error at a key of the file: the rule that is broken, and the value received."""
+        """Append an error at a key in the file: the rule that is broken, and the value received."""
         self.append(ArgumentError(key, rule, value))
 
 
 class ConfigurationError(ValueError):
-    """Raised if a problem file cannot be used.
+    """Raised when a problem file cannot be used.
 
     Attributes
     ----------
     source : str
         Name of the file.
     errors : tuple of ArgumentError
-        All errors that were found in the file.
+        All errors found in the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[ArgumentError]) -> None:
@@ -63,7 +63,7 @@ class ConfigurationError(ValueError):
 
     @property
     def headline(self) -> str:
-        """The name of the file and its number of errors, as a phrase."""
+        """File name and number of errors, as a phrase."""
         n = len(self.mistakes)
         return f"{self.source}: {n} error{'s' if n > 1 else ''}"
 
@@ -79,7 +79,7 @@ def place(parts: Sequence[int | str]) -> str:
 
 
 def of_validation(error: ValidationError) -> list[ArgumentError]:
-    """Return pydantic's validation errors as a list of ArgumentError."""
+    """Convert pydantic's validation errors to ArgumentErrors."""
     return [_of_one(one) for one in error.errors(include_url=False)]
 
 
@@ -102,13 +102,13 @@ def _of_one(error: ErrorDetails) -> ArgumentError:
 
 
 def _as_rule(message: str) -> str:
-    """Return a pydantic message of the form ``Input should be …`` as the rule ``must be …``."""
+    """Reword a pydantic message ``Input should be …`` as the rule ``must be …``."""
     subject, should, rest = message.partition(" after validation")[0].partition(" should ")
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 
 
 def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
-    """Return the error for a missing or invalid key that selects the kind of a table."""
+    """Return the error for a missing or invalid key that selects a table's kind."""
     context = error["ctx"]
     where = f"{where}.{context['discriminator'].strip("'")}"
     if "tag" not in context:
@@ -118,7 +118,7 @@ def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
 
 
 def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
-    """Return a location without the parts that pydantic inserts after a key: kinds of values and of tables."""
+    """Remove the parts that pydantic inserts into a location: the kinds of values and of tables."""
     parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
     number = parts[1:2]
     of_slope = ["slopes", *parts[3:4]]

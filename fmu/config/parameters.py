@@ -43,10 +43,10 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 
 
 class Target(TomlTable):
-    """The quantities of a frame that a parameter sets or multiplies.
+    """The frame quantities that a parameter sets or multiplies.
 
-    They are a ``property`` of ``groups`` of members (or ``"all"``), of ``masses`` or of ``springs``. The inertia
-    of masses and the stiffness of springs may be limited to some ``directions``.
+    They are a ``property`` of ``groups`` of members (or ``"all"``), of ``masses`` or of ``springs``. For masses
+    and springs, ``directions`` can limit the inertia or stiffness to some directions.
     """
 
     property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None
@@ -81,7 +81,7 @@ class Uncertain(TomlTable):
     """Prior distribution: knowledge before the measurement."""
 
     def build(self) -> Parameter:
-        """Return the parameter that the table describes.
+        """Return the parameter described by this table.
 
         Raises
         ------
@@ -108,7 +108,7 @@ def _kind_of_time(value: object) -> str:
 
 
 class PopulationTable(TomlTable):
-    """The distribution of a parameter over several tests; its mean and standard deviation are inferred."""
+    """How a parameter is distributed over several tests; the mean and standard deviation are inferred."""
 
     distribution: Literal["normal", "log-normal"] = "normal"
     """Distribution of the values in the tests, truncated at the bounds."""
@@ -132,14 +132,14 @@ class PopulationTable(TomlTable):
     """The covariate that serves as time, different in each test; the order of the tests if not given."""
 
     def build(self) -> Population:
-        """Return the population that the table describes."""
+        """Return the population described by this table."""
         sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
         how = build_value(self.correlation_time)
         return Population(self.distribution, sd, between, self.sd_by_group, how, self.by or "")
 
 
 class OutliersTable(TomlTable):
-    """Tests that may be outliers of the populations."""
+    """Tests whose parameters may be outliers of their populations."""
 
     share: Annotated[
         Annotated[float, Tag("<number>")]
@@ -152,7 +152,7 @@ class OutliersTable(TomlTable):
     """Standard deviation of the values of outliers, relative to the standard deviation of the other values."""
 
     def build(self) -> Outliers:
-        """Return the model of outliers that the table describes."""
+        """Return the outlier model described by this table."""
         return Outliers(build_value(self.share), self.scale)
 
     @model_validator(mode="after")
@@ -162,14 +162,14 @@ class OutliersTable(TomlTable):
 
 
 class PolynomialTable(TomlTable):
-    """A polynomial in a covariate minus its mean over the tests."""
+    """A polynomial in a covariate that is centred on its mean over the tests."""
 
     law: Literal["polynomial"]
     priors: list[PriorTable]
     """Priors of the coefficients of x, x², …, in units of 1/x, 1/x², …"""
 
     def build(self) -> Polynomial:
-        """Return the law that the table describes."""
+        """Return the polynomial described by this table."""
         return Polynomial([prior.build() for prior in self.priors])
 
     @model_validator(mode="after")
@@ -192,7 +192,7 @@ class PiecewiseLinearTable(TomlTable):
     kink."""
 
     def build(self) -> PiecewiseLinear:
-        """Return the law that the table describes."""
+        """Return the function described by this table."""
         return PiecewiseLinear(self.prior.build(), build_value(self.kinks))
 
     @model_validator(mode="after")
@@ -218,7 +218,7 @@ SlopeTable = Annotated[
 
 
 class OnsetTable(TomlTable):
-    """When and how damage at an unknown date occurred."""
+    """When damage at an unknown date began, and how it developed."""
 
     by: Annotated[str, Field(max_length=100)] = ""
     """The covariate that serves as time, such as "day"; the order of the tests if not given."""
@@ -268,7 +268,7 @@ class ParameterTable(Uncertain, Target):
         return self
 
     def variation(self) -> str | Variation | None:
-        """Return the variation of the parameter between tests, or its name; None if the file has none."""
+        """Return how the parameter varies between tests, as an object or a name; None if the file does not say."""
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
         loss = None if self.loss is None else self.loss.build()
@@ -282,15 +282,15 @@ class ParameterTable(Uncertain, Target):
         return self.varies
 
     def laws(self) -> dict[str, Prior | Law | str]:
-        """Return a dict from each covariate to the law that describes how the parameter depends on it."""
+        """Return the law for the parameter's dependence on each covariate, by covariate name."""
         return {name: how if isinstance(how, str) else how.build() for name, how in self.slopes.items()}
 
     def build(self) -> Parameter:
-        """Return the parameter that the table describes; see `Uncertain.build`."""
+        """Return the parameter described by this table; see `Uncertain.build`."""
         return replace(super().build(), updated=self.updated)
 
     def is_positive(self) -> bool:
-        """Return True if the bounds or the prior keep the parameter positive."""
+        """Return True if the bounds or the prior guarantee a positive parameter."""
         try:
             return self.build().lowest > 0.0
         except ValueError:  # this error is reported separately
@@ -298,7 +298,7 @@ class ParameterTable(Uncertain, Target):
 
 
 class NoiseTable(Uncertain):
-    """A standard deviation to be inferred, which error models refer to by its name."""
+    """A standard deviation to be inferred; error models refer to it by name."""
 
     start: Positive
     lower: NotNegative = 0.0
@@ -308,7 +308,7 @@ class NoiseTable(Uncertain):
 def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
-    """Return a dict of the parameters by name, in the order of the file, and a list of errors in their tables.
+    """Build the parameters by name, in file order, and collect the errors in their tables.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def build_parameters(
 
 
 def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return an error for each key that is allowed only with several tests."""
+    """Return an error for each key that is allowed only if there are several tests."""
     return [
         ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
@@ -342,7 +342,7 @@ def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
 
 
 class ModelTable(TomlTable):
-    """Base class of the tables of models; most of them do not allow the keys of parameters that are for frames."""
+    """Base class for the model tables. Most of them reject the parameter keys that apply only to frames."""
 
     @property
     def decks(self) -> list[str]:
@@ -350,7 +350,7 @@ class ModelTable(TomlTable):
         return []
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return an error for each key of a parameter that is allowed only for frames."""
+        """Return an error for each parameter key that is allowed only for frames."""
         return [
             ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
             for i, table in enumerate(parameters)

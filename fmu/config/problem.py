@@ -1,4 +1,4 @@
-"""The table of a whole problem file, from which the updating problem is built, and its JSON schema."""
+"""The table for a whole problem file, which builds the updating problem, and its JSON schema."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
 class ExportTable(TomlTable):
-    """The files that ``fmu export`` writes in addition to the matrices."""
+    """Files that ``fmu export`` writes in addition to the matrices."""
 
     templates: Annotated[list[FileName], Field(min_length=1, max_length=100)]
     """Input decks of other programs, relative to this file, with {NAME} for the value of a parameter, {NAME sd}
@@ -143,21 +143,21 @@ class ProblemFile(TomlTable):
         engine: Engine | None = None,
         planning: bool = False,
     ) -> UpdatingProblem:
-        """Return the updating problem that the file describes.
+        """Build the updating problem described by this file.
 
         Parameters
         ----------
         source : str
             Name of the file in error messages.
         folder : Path
-            The folder to which file names in the problem file are relative.
+            Folder that file names in the problem file are relative to.
         pairing, beta : optional
             Values that replace those in the file; see `fmu.load`.
         engine : Engine, optional
             Trains the reduced model.
         planning : bool
-            Whether a test is being planned. The modes that the model predicts then replace a missing measurement,
-            and no reduced model is trained.
+            Whether a test is being planned. If so, modes predicted by the model replace a missing measurement, and
+            no reduced model is trained.
 
         Raises
         ------
@@ -224,7 +224,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [mistake]) from error
 
     def plan_options(self, source: str, folder: Path) -> dict[str, Any]:
-        """Return the arguments of `fmu.plan` from the table ``[plan]``, or their defaults.
+        """Return the arguments for `fmu.plan` from the ``[plan]`` table, or the defaults if there is none.
 
         Raises ConfigurationError as `build` does.
         """
@@ -240,7 +240,7 @@ class ProblemFile(TomlTable):
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
     def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
-        """Return the problem with the modes that the model predicts as its data."""
+        """Build the problem with the model's predicted modes as data."""
         assert self.plan is not None  # for the type checker: see `_is_unmeasured`
         if isinstance(built.model, ModalModel):
             raise BrokenError(
@@ -255,7 +255,7 @@ class ProblemFile(TomlTable):
         return UpdatingProblem(built.model, data, given, name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the errors in the tables of measurements that can be found without the model."""
+        """Return the errors in the measurement tables that can be found without the model."""
         if self.measurement is None and self.tests is None and self._frfs is not None:
             return of_several_tests(self.parameters)
         if (self.measurement is None) == (self.tests is None):
@@ -276,28 +276,28 @@ class ProblemFile(TomlTable):
 
     @property
     def structural(self) -> list[ParameterTable]:
-        """The tables of the parameters of the structure, excluding damping parameters."""
+        """Tables of the structural parameters, without damping parameters."""
         return structural(self.parameters, self.damping)
 
     @property
     def _errors(self) -> list[ErrorTable]:
-        """The ``[[error]]`` tables; none if ``error`` is a name."""
+        """The ``[[error]]`` tables; empty if ``error`` is a name."""
         return [] if isinstance(self.error, str) else self.error
 
     @property
     def _frfs(self) -> FRFsInFile | None:
-        """The table of frequency response functions with its files; None if the file has no such table."""
+        """The FRF table with its files, or None if the file has no such table."""
         return FRFsInFile.of(self._errors, self.tests)
 
     @property
     def decks(self) -> list[str]:
-        """Names of the templates that ``fmu export`` fills: the model's decks, and those in ``[export]``."""
+        """Names of the templates that ``fmu export`` fills: the model's decks and those in ``[export]``."""
         others = [] if self.export is None else self.export.templates
         return list(dict.fromkeys([*self.model.decks, *others]))
 
     @property
     def measured(self) -> MeasurementTable:
-        """The table ``[measurement]``; a ValueError is raised if the file has none."""
+        """The ``[measurement]`` table. Raises ValueError if the file has none."""
         if self.measurement is None:
             raise ValueError("measurement: a file with several tests has none")
         return self.measurement
@@ -312,7 +312,7 @@ class ProblemFile(TomlTable):
         beta: ArrayLike | None,
         engine: Engine | None,
     ) -> UpdatingProblem:
-        """Return the joint problem of several tests."""
+        """Build the joint problem of several tests."""
         from fmu.posterior.joint.joint_problem import JointProblem
 
         if beta is not None:
@@ -345,7 +345,7 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Return the measured data, without their uncertainty if `beta` is given to replace it."""
+        """Build the measured data, leaving out their uncertainty if `beta` replaces it."""
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number
             try:
@@ -364,7 +364,7 @@ class ProblemFile(TomlTable):
 
 
 def schema() -> dict[str, object]:
-    """Return the JSON schema of a problem file.
+    """Return the JSON schema for problem files.
 
     Returns
     -------
@@ -381,7 +381,7 @@ def schema() -> dict[str, object]:
 
 
 def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
-    """Return a part of the schema, simplified for editors.
+    """Simplify part of the schema for editors.
 
     Null, which TOML does not have, the titles that pydantic adds and line breaks in descriptions are removed.
     """

@@ -1,6 +1,6 @@
-"""Tables of a problem file.
+"""Base classes and builders for the tables in a problem file.
 
-`TomlTable` is the base class of all tables. If a table only collects the arguments of a constructor of this
+`TomlTable` is the base class of all tables. If a table only collects the arguments of a constructor in this
 library, its class is not written by hand: `declare_table` makes it from the constructor's annotations (keys,
 types, ranges), defaults and docstring (descriptions). In the file, the value of a key with the type
 ``Annotated[Material, Of("material", Material)]`` is a table with E, nu and rho; here it is a `Material`.
@@ -66,14 +66,14 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Built(NamedTuple):
-    """A model, the nodes of the places named in the file, and the largest number of modes of the model."""
+    """A model, the node for each place named in the file, and the model's largest number of modes."""
 
     model: SeparableModel | BlackBoxModel | ModalModel
     places: Mapping[str, Place]
     most_modes: float = math.inf
 
     def at(self, place: Place) -> Place:
-        """Return the node of a named place; return any other place unchanged."""
+        """Return the node for a named place; return any other place unchanged."""
         return self.places.get(str(place), place)
 
     @property
@@ -93,19 +93,25 @@ _KIND_OF: dict[type, str] = {
 
 
 def kind_of(value: object) -> str | None:
-    """Return the kind of a value, such as ``<number>``, or None; angle brackets distinguish kinds from keys."""
+    """Return the kind of a TOML value, such as ``<number>``, or None if it has no kind.
+
+    Angle brackets distinguish kinds from keys.
+    """
     if isinstance(value, list):
         return "<rows>" if value and kind_of(value[0]) in ("<list>", "<rows>") else "<list>"
     return next((kind for cls, kind in _KIND_OF.items() if isinstance(value, cls)), None)
 
 
 def build_value(value: Any) -> Any:
-    """Return the object that a table describes; any other value of a key as it is."""
+    """Return the object described by a table; return any other value unchanged."""
     return value.build() if isinstance(value, Declared) else value
 
 
 def by_kind(words: str) -> Discriminator:
-    """Return a discriminator that selects the type of a value by its kind; `words` lists the kinds in messages."""
+    """Return a pydantic discriminator that selects a type by the value's kind.
+
+    `words` lists the kinds in messages.
+    """
     return Discriminator(kind_of, custom_error_type="kind", custom_error_message=f"must be {words}")
 
 
@@ -117,7 +123,10 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 
 
 def one_length(what: str) -> AfterValidator:
-    """Return a validator that rejects rows of different lengths; a row has a value per `what`, such as "mode"."""
+    """Return a validator that rejects rows with different lengths.
+
+    `what` says in messages what each value in a row belongs to, such as "mode".
+    """
 
     def check(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
@@ -130,7 +139,7 @@ def one_length(what: str) -> AfterValidator:
 
 @contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Within a with block, turn errors from reading a file into a BrokenError at the key `where` that names it."""
+    """In a ``with`` block, convert file reading errors to a BrokenError at the key `where`."""
     try:
         yield
     except ModesError as error:
@@ -140,7 +149,7 @@ def reading(where: str) -> Iterator[None]:
 
 
 class TomlTable(BaseModel):
-    """A table of the file. Unknown keys and values of the wrong type are errors, and no value is converted.
+    """Base class for tables in the file. It rejects unknown keys and wrong types, and converts no values.
 
     The string below a key is its description in the schema that editors show (`fmu.config.problem`).
     """
@@ -151,7 +160,7 @@ class TomlTable(BaseModel):
 
 
 class Declared(TomlTable):
-    """A table whose keys are the arguments of a constructor, or of one of several; see `declare_table`."""
+    """A table whose keys are the arguments of one or several alternative constructors; see `declare_table`."""
 
     model_config = ConfigDict(use_attribute_docstrings=False)  # classes made at run time have no source
     makes: ClassVar[tuple[Maker, ...]] = ()
@@ -162,16 +171,16 @@ class Declared(TomlTable):
 
     @property
     def called(self) -> str:
-        """The value of the key `tag`, which gives the kind of the table."""
+        """Kind of the table, which is the value of the key `tag`."""
         return str(dict(self)[self.tag])
 
     def given_arguments(self) -> dict[str, object]:
-        """Return a dict of the constructor's arguments that are given in the file."""
+        """Return the constructor arguments given in the file, by name."""
         given = self.model_fields_set - {self.tag}
         return {self.renamed.get(key, key): value for key, value in self if key in given}
 
     def build(self, **others: object) -> Any:
-        """Return the object built from the arguments in the file and `others`, which take precedence.
+        """Call the constructor with the arguments in the file and `others`, which take precedence.
 
         Raises
         ------
@@ -198,7 +207,7 @@ def declare_table(
     in_a_file: Callable[[Any], object] | None = None,
     renamed: Mapping[str, str] | None = None,
 ) -> type[Declared]:
-    """Return the class of a table whose keys, types, ranges, defaults and descriptions come from a constructor.
+    """Create a table class whose keys, types, ranges, defaults and descriptions come from a constructor.
 
     Parameters
     ----------
@@ -210,8 +219,8 @@ def declare_table(
     tag : str
         Name of an additional key, whose value is the kind of the table.
     in_a_file : callable, optional
-        Maps the annotation of an argument to the type of its key in the file, for annotations that are not TOML
-        types; returns None for an argument that is not a key.
+        Maps an argument's annotation to the type of its key in the file, for annotations that are not TOML types;
+        returns None for an argument that is not a key.
     renamed : mapping of str to str, optional
         See `Of`.
     """
@@ -239,14 +248,14 @@ def declare_table(
 
 
 class OneOf:
-    """A union of tables distinguished by the value of a key: ``Annotated[Declared, OneOf("distribution", …)]``.
+    """A union of tables, selected by the value of a key: ``Annotated[Declared, OneOf("distribution", …)]``.
 
     Parameters
     ----------
     tag : str
-        The key that distinguishes the kinds.
+        The key that selects the kind.
     kinds : mapping of str to tuple of callable
-        The constructors of each kind, by the value of the key; see `declare_table`.
+        The constructors of each kind, by the key's value; see `declare_table`.
     in_a_file : callable, optional
         See `declare_table`.
     others : sequence of table
@@ -279,7 +288,7 @@ class Of:
     *makes : callable
         See `declare_table`.
     **renamed : str
-        Names of arguments by the keys that replace them in the file. The value of such a key is a name.
+        Argument names by the keys that replace them in the file. The value of each such key is a name.
     """
 
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
@@ -306,19 +315,19 @@ def inside(key: str, make: Maker) -> Maker:
 def with_keys[Table: TomlTable](
     fields: Mapping[str, Any],
 ) -> Callable[[type[Table]], type[Table]]:
-    """Return a decorator that adds keys to a table; `fields` has types and fields as for `create_model`."""
+    """Return a decorator that adds keys to a table; `fields` maps key names to types, as in `create_model`."""
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
 @cache
 def required_arguments(make: Maker) -> set[str]:
-    """Return the set of names of a constructor's arguments that have no default."""
+    """Return the names of a constructor's required arguments."""
     return {key for key, (_, default) in arguments(make).items() if default is inspect.Parameter.empty}
 
 
 @cache
 def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
-    """Return a dict from the name of each argument of a constructor to its annotation and default."""
+    """Return the annotation and default of each constructor argument, by name."""
     hints = get_type_hints(make.__init__ if inspect.isclass(make) else make, include_extras=True)
     made = (
         {}
@@ -330,14 +339,14 @@ def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:
-    """Return a phrase that lists, for each constructor, the arguments that not all constructors have."""
+    """Return a phrase that lists, for each constructor, the arguments that the constructors do not all share."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(map(names_in_words, ways))
 
 
 def _descriptions(make: Maker) -> dict[str, str]:
-    """Return the description of each argument, from the docstring's section of attributes or parameters."""
+    """Return the description of each argument, from the docstring's Attributes or Parameters section."""
     text = inspect.getdoc(make) or ""
     section = re.search(r"(?:Attributes|Parameters)\n-+\n(.*?)(?:\n\n|\Z)", text, re.DOTALL)
     entries = re.findall(r"^([\w, ]+?) : .*\n((?:    .*\n?)*)", section[1] if section else "", re.MULTILINE)
@@ -345,7 +354,7 @@ def _descriptions(make: Maker) -> dict[str, str]:
 
 
 def tuple_as_list(annotation: object) -> Any:
-    """Return a list type for a tuple type, because TOML has no tuples; return any other type unchanged."""
+    """Replace a tuple type by a list type, because TOML has no tuples; return any other type unchanged."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):
         return tuple_as_list(next(part for part in parts if get_origin(part) is tuple)) | None

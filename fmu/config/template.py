@@ -1,4 +1,4 @@
-"""Templates of problem files: for each kind of model, a commented problem that runs without changes."""
+"""Problem file templates: for each kind of model, a commented problem that runs without changes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def template(kind: str) -> str:
 
 
 def files(kind: str) -> tuple[str, ...]:
-    """Return the names of the files for a kind of model, one of `KINDS`, with the problem file first.
+    """Return the names of a template's files, with the problem file first; `kind` is one of `KINDS`.
 
     Raises
     ------
@@ -44,12 +44,12 @@ def files(kind: str) -> tuple[str, ...]:
 
 
 def write_template(kind: str, directory: str | os.PathLike[str]) -> Path:
-    """Write the problem file for a kind of model, and the other files that it needs, to a directory.
+    """Write a problem file template, with the other files that it needs, to a directory.
 
     Parameters
     ----------
     kind : str
-        One of `KINDS`.
+        Kind of model, one of `KINDS`.
     directory : path-like
         Directory for the files, created if it does not exist.
 

@@ -1,4 +1,4 @@
-"""``[[tests]]``: several tests of one structure, and the differences between them."""
+"""``[[tests]]``: several tests on one structure, and the differences between them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ CovariateValue = Annotated[
 
 
 def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
-    """Return a covariate in the form that `fmu.Test` takes; None if it is missing."""
+    """Return a covariate as `fmu.Test` takes it: a number, a prior, or None if it is missing."""
     found: float | Prior | None = None if given == "missing" else build_value(given)
     return found
 
@@ -121,7 +121,7 @@ class TestTable(MeasurementTable):
         return ModesGiven(MeasuredModes(mean, tuple(self.labels)))
 
     def _read_campaign(self, folder: Path) -> Campaign:
-        """Return the tests in the file of the campaign. Raise BrokenError if there are errors in it."""
+        """Read the tests in the campaign file. Raise BrokenError if it has errors."""
         wrong: list[str] = []
         with reading("measurement.campaign"):
             try:
@@ -135,7 +135,7 @@ class TestTable(MeasurementTable):
         return found
 
     def _find_mistakes(self, found: Campaign) -> list[str]:
-        """Return messages on a campaign file that is readable but inconsistent with this table or implausible."""
+        """Return error messages for a campaign file that is implausible or contradicts this table."""
         missed = np.isnan(found.frequencies_hz).all(axis=0)
         rule = "must have a frequency in one line at least (got none); delete it here and in labels"
         wrong = [f"column {label}: {rule}" for label, none in zip(self.labels, missed, strict=True) if none]
@@ -151,15 +151,16 @@ class TestTable(MeasurementTable):
     def build_all(
         self, number: int, folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None
     ) -> list[PlacedTest]:
-        """Return the list of tests that the table describes. Raise BrokenError if they cannot be built.
+        """Build all tests described by this table. Raise BrokenError if they cannot be built.
 
         Parameters
         ----------
         number : int
-            The index of this table in the file, from 0.
+            Index of this table in the file, from 0.
         folder, built, needs_trust
             See `MeasurementTable.build`.
         of_frfs : OfFRFs or None
+            The FRF table and error models; None if there are no FRFs.
         """
         where = f"tests.{number}"
         try:
@@ -179,7 +180,7 @@ class TestTable(MeasurementTable):
             raise BrokenError(ArgumentError.of(error).under(where)) from None
 
     def _pick(self, built: Built, are_data: bool, of_frfs: OfFRFs | None) -> ModalData:
-        """Return the modes at the resonances of the FRFs. They are used in updating only if `are_data` is True."""
+        """Pick the modes at the FRF resonances. They are used in updating only if `are_data` is True."""
         assert of_frfs is not None  # otherwise there is an error in the file
         try:
             modes = of_frfs.table.pick(of_frfs.errors[self.name], built, self.modes)
@@ -190,7 +191,7 @@ class TestTable(MeasurementTable):
         return replace(modes, numbers=numbers, counterparts=numbers, labels=tuple(map(str, numbers)), use=use)
 
     def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
-        """Return the list of tests of a campaign; `data` has all modes, with frequencies to be replaced."""
+        """Build the tests of a campaign from `data`, which has all modes, by replacing its frequencies."""
         tests, wrong = [], Mistakes()
         for name, group, covariates, frequencies, number in zip(*campaign, strict=True):
             line = f"{self.campaign}, line {number}"
@@ -217,14 +218,14 @@ class TestTable(MeasurementTable):
 
 
 class OfFRFs(NamedTuple):
-    """The table of frequency response functions, and their error model in each test by the name of the test."""
+    """The FRF table, and each test's FRF error model by test name."""
 
     table: FRFTable
     errors: Mapping[str, FRFErrors]
 
 
 class PlacedTest(NamedTuple):
-    """A test, the key of the problem file that gives it and, for a test of a campaign, the file and line."""
+    """A test, the key in the problem file that gives it and, for a campaign, the file and line."""
 
     test: Test
     where: str
@@ -234,7 +235,7 @@ class PlacedTest(NamedTuple):
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None = None
 ) -> tuple[list[PlacedTest], list[ArgumentError]]:
-    """Return the list of tests, and the list of errors in their tables."""
+    """Build all tests, and collect the errors in their tables."""
     tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
@@ -250,7 +251,7 @@ def build_tests(
 def variations(
     tables: Sequence[ParameterTable],
 ) -> tuple[dict[str, str | Variation], dict[str, dict[str, Prior | Law | str]]]:
-    """Return the dicts `varies` and `slopes` that `fmu.JointProblem` takes as arguments."""
+    """Return the arguments `varies` and `slopes` for `fmu.JointProblem`."""
     varies = {table.name: how for table in tables if (how := table.variation()) is not None}
     slopes = {table.name: table.laws() for table in tables if table.slopes}
     return varies, slopes
@@ -259,9 +260,9 @@ def variations(
 def in_the_file(
     error: TestsError, tables: Sequence[ParameterTable], tests: Sequence[PlacedTest]
 ) -> list[ArgumentError]:
-    """Return the inconsistencies between tests as a list of errors, with their locations in the file.
+    """Convert inconsistencies between tests to a list of errors, each with its location in the file.
 
-    If several lines of a campaign break the same rule, the first of them is named.
+    If several lines of a campaign break the same rule, only the first is reported.
     """
     number = {table.name: i for i, table in enumerate(tables)}
     found: dict[tuple[str, str], ArgumentError] = {}

@@ -1,4 +1,4 @@
-"""Variants of a problem file with different discrepancies of the model: the kinds of ``--discrepancy``."""
+"""Variants of a problem file with different model discrepancies: the choices for ``--discrepancy``."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 
 class Variant(NamedTuple):
-    """A discrepancy of the model.
+    """A choice of model discrepancy.
 
     Attributes
     ----------
     title : str
-        Its name in tables.
+        Name in result tables.
     keys : mapping of str to object
-        The keys of the table ``[[discrepancy]]``; empty if there is no discrepancy.
+        Keys in the ``[[discrepancy]]`` table; empty if there is no discrepancy.
     """
 
     title: str
@@ -32,7 +32,7 @@ VARIANTS = {
 
 
 def with_discrepancy(text: str, variant: str) -> str:
-    """Return a problem file with another discrepancy of the model; everything else, comments included, is kept.
+    """Return a problem file with its model discrepancy replaced and everything else, even comments, unchanged.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def with_discrepancy(text: str, variant: str) -> str:
     variant : str
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred relative error common to all frequencies;
         ``"modes"``, such errors with a correlated part; ``"embedded"`` and ``"embedded-by-group"``, scatter of the
-        parameters over the modes. A table ``[[discrepancy]]`` of the same kind in the file keeps its other keys.
+        parameters over the modes. A ``[[discrepancy]]`` table of the same kind in the file keeps its other keys.
     """
     import tomlkit
 

@@ -1,4 +1,4 @@
-"""Tables of measured frequency response functions and of damping.
+"""Tables for measured frequency response functions and for damping.
 
 Reading order: damping, errors.
 """

@@ -1,4 +1,4 @@
-"""``[[damping]]``: damping of a structure, known or inferred from frequency response functions."""
+"""``[[damping]]``: structural damping, either known or inferred from frequency response functions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _WITHOUT_NAMES = ("at", "to", "matrix")
 
 
 def _in_a_file(annotation: object) -> object:
-    """Return the TOML type for an argument of a damping model; a parameter is given by its name."""
+    """Return the TOML type for a damping model argument; a parameter is given by its name."""
     return _IN_A_FILE.get(annotation) or tuple_as_list(annotation)
 
 
@@ -65,7 +65,7 @@ DampingTable = Annotated[
 
 
 def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
-    """Yield the key and the name of each parameter that the damping tables refer to."""
+    """Yield the key and name of each parameter that the damping tables refer to."""
     for i, table in enumerate(tables):
         for key, value in table.given_arguments().items():
             if key not in _WITHOUT_NAMES:
@@ -73,7 +73,7 @@ def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
 
 
 def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
-    """Yield the key and the name of each parameter in `value`, which is at the key `where` of the file."""
+    """Yield the key and name of each parameter in `value`, the number, name or table at the key `where`."""
     match value:
         case str():
             yield where, value
@@ -86,7 +86,7 @@ def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ParameterTable]:
-    """Return the structural parameters: all those to which no damping table refers."""
+    """Return the structural parameters, which are those that no damping table refers to."""
     named = {name for _, name in names_in(damping)}
     return [table for table in parameters if table.name not in named]
 
@@ -94,9 +94,9 @@ def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]
 def mistakes_of_damping(
     parameters: Sequence[ParameterTable], damping: Sequence[Declared], has_tests: bool
 ) -> list[ArgumentError]:
-    """Return the list of errors in the names of damping parameters and in their tables.
+    """Check the damping tables and parameters, and return the errors found.
 
-    The parameters may vary between tests only if `has_tests` is True.
+    Damping parameters may vary between tests only if `has_tests` is True.
     """
     found, known = Mistakes(), [table.name for table in parameters]
     used = {name for _, name in names_in(damping)}
@@ -122,14 +122,15 @@ def mistakes_of_damping(
 def build_damping(
     tables: Sequence[Declared], parameters: Mapping[str, Parameter], folder: Path
 ) -> list[DampingModel]:
-    """Return the list of damping models. Raise BrokenError if a file cannot be read or a table is invalid.
+    """Build the damping models. Raise BrokenError if a file cannot be read or a table is invalid.
 
     Parameters
     ----------
     tables : sequence of DampingTable
     parameters : mapping of str to Parameter
+        Damping parameters, by name.
     folder : Path
-        The folder to which file names are relative.
+        Folder that file names are relative to.
     """
 
     def of(value: Any) -> Any:

@@ -50,7 +50,7 @@ _POINTS = Annotated[list[SensorTable], Field(max_length=MOST_FRFS)]
 
 
 class FRFTable(Declared):
-    """Measured frequency response functions (FRFs). The tables [[damping]] give the damping of the structure."""
+    """Measured frequency response functions (FRFs). The [[damping]] tables give the structure's damping."""
 
     model_config = ConfigDict(use_attribute_docstrings=True)
     makes: ClassVar[tuple[Maker, ...]] = (FRFErrors,)
@@ -101,7 +101,7 @@ class FRFTable(Declared):
     the model that move a response. With pairing = "index", counted in the whole spectrum. 1, 2, … if not given."""
 
     def read(self, file: Path) -> FRFData:
-        """Return the FRFs in a file. Raise BrokenError or ValueError if the file or the settings are invalid."""
+        """Read the FRFs in a file. Raise BrokenError or ValueError if the file or the settings are invalid."""
         with reading("data"):
             data = read_frf(
                 file,
@@ -133,14 +133,14 @@ class FRFTable(Declared):
     def errors(
         self, file: Path, damping: Sequence[DampingModel], test: str | None, **inferred: object
     ) -> FRFErrors:
-        """Return the error model of the FRFs in a file. Raise BrokenError if the file or the settings are invalid.
+        """Build the error model for the FRFs in a file. Raise BrokenError if the file or the settings are invalid.
 
         Parameters
         ----------
         file : Path
         damping : sequence of DampingModel
         test : str or None
-            The test in which they were measured, if there are several.
+            Name of the test in which they were measured, if there are several tests.
         **inferred
             The Parameter for each key whose value is the name of a noise table.
         """
@@ -153,9 +153,9 @@ class FRFTable(Declared):
             raise BrokenError(_in_the_file(error)) from None
 
     def pick(self, errors: FRFErrors, built: Built, numbers: Sequence[int] = ()) -> ModalData:
-        """Return the modes at the resonances of the FRFs. Raise BrokenError if they do not fit the model.
+        """Pick modes at the FRF resonances. Raise BrokenError if they do not fit the model.
 
-        `numbers` are the mode numbers to use instead of the `modes` of the table, if not empty.
+        If `numbers` is not empty, it replaces the mode numbers ``modes`` in the table.
         """
         try:
             modes = pick_modes(errors.data, tuple(numbers or self.modes))
@@ -179,7 +179,7 @@ class FRFTable(Declared):
 
 
 class FRFFile(NamedTuple):
-    """A file of FRFs: the key of the problem file that names it, its name, and its test if there are several."""
+    """An FRF file: the problem file's key that names it, its name, and its test if there are several tests."""
 
     where: str
     name: str
@@ -195,16 +195,16 @@ def read_frfs(
     damping: Sequence[DampingModel],
     **inferred: object,
 ) -> tuple[list[FRFErrors], list[ArgumentError]]:
-    """Return the error models of the FRFs in all files, and the list of errors in the files and settings.
+    """Build the error models for the FRFs in all files, and collect the errors in files and settings.
 
     Parameters
     ----------
     number : int
-        The index of the table in ``[[error]]``, from 0.
+        Index of the table in ``[[error]]``, from 0.
     table : FRFTable
     files : sequence of FRFFile
     folder : Path
-        The folder to which file names are relative.
+        Folder that file names are relative to.
     damping : sequence of DampingModel
     **inferred
         The Parameter for each key whose value is the name of a noise table.
@@ -227,7 +227,10 @@ def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str]
 
 
 def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> float | dict[Dof, float]:
-    """Return a setting for each response channel, named as in ``"tip z"``; return a number unchanged."""
+    """Return a setting keyed by response channel (place, direction) instead of by a name such as ``"tip z"``.
+
+    A plain number is returned unchanged. Raises ArgumentError if there is no such channel.
+    """
     if not isinstance(given, Mapping):
         return given
     channels = {f"{place} {direction}": (place, direction) for place, direction in data.responses}
@@ -238,6 +241,6 @@ def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> 
 
 
 def _in_the_file(error: ValueError) -> ArgumentError:
-    """Return an error at the key of the table that it concerns; errors in the FRF file are at the key ``data``."""
+    """Return an error with its key changed to the key in the table; errors in the FRF file go to ``data``."""
     wrong = ArgumentError.of(error).replace_key("path", "data").replace_key("numbers", "modes")
     return wrong if wrong.key.split(".")[0] in FRFTable.model_fields else ArgumentError("data", str(wrong))

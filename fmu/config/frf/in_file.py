@@ -1,4 +1,4 @@
-"""Relations between the tables of a problem file on frequency response functions, damping and tests."""
+"""Consistency of a problem file's tables for frequency response functions, damping and tests."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from fmu.posterior.frf.errors import FRFErrors
 
 
 class FRFsInFile(NamedTuple):
-    """The ``[[error]]`` table of frequency response functions, and the files named in it or in ``[[tests]]``.
+    """The ``[[error]]`` table for frequency response functions, and the files that it or ``[[tests]]`` name.
 
     Attributes
     ----------
     number : int
-        The index of the table in ``[[error]]``, from 0.
+        Index of the table in ``[[error]]``, from 0.
     table : FRFTable
     files : list of FRFFile
     """
@@ -36,7 +36,7 @@ class FRFsInFile(NamedTuple):
 
     @classmethod
     def of(cls, errors: Sequence[Declared], tests: Sequence[TestTable] | None) -> Self | None:
-        """Return the first table of frequency response functions with its files; None if there is none."""
+        """Return the first table for frequency response functions with its files, or None if there is none."""
         for i, table in enumerate(errors):
             if isinstance(table, FRFTable):
                 own = [FRFFile(f"error.{i}.data", table.data)] if table.data is not None else []
@@ -44,15 +44,18 @@ class FRFsInFile(NamedTuple):
         return None
 
     def reader(self, folder: Path, damping: Sequence[DampingModel]) -> Any:
-        """Return the argument `read_frfs` of `fmu.config.errors.build_error_models`."""
+        """Return the callable `read_frfs` that `fmu.config.errors.build_error_models` takes as an argument."""
         return partial(read_frfs, files=self.files, folder=folder, damping=damping)
 
     def by_test(self, errors: Sequence[ErrorModel]) -> OfFRFs:
-        """Return the table with the error model of the FRFs in each test."""
+        """Return the table with the FRF error model of each test."""
         return OfFRFs(self.table, {str(one.test): one for one in errors if isinstance(one, FRFErrors)})
 
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
-        """Return the errors in the keys ``data``; each test needs one unless there are other error models."""
+        """Check the keys ``data``, and return the errors found.
+
+        Each test needs this key unless there are other error models.
+        """
         where = f"error.{self.number}.data"
         if tests is None:
             return [ArgumentError(where, "is missing")] * (self.table.data is None)
@@ -68,7 +71,7 @@ class FRFsInFile(NamedTuple):
         ]
 
     def place(self, mistake: ArgumentError, errors: Sequence[ErrorModel]) -> ArgumentError:
-        """Return an error in the FRFs, found during the build, at the key of the problem file that names them.
+        """Return an FRF error found during the build, moved to the problem file's key that names the FRF file.
 
         The key of `mistake` is ``data…``, or ``error.i.data…`` where i is an index in `errors`.
         """
@@ -86,7 +89,7 @@ def mistakes_of_frfs(
     parameters: Sequence[ParameterTable],
     tests: Sequence[TestTable] | None,
 ) -> list[ArgumentError]:
-    """Return the list of inconsistencies between the tables of FRFs, damping and tests."""
+    """Check the FRF, damping and test tables against each other, and return the errors found."""
     if found is None:
         rule = 'is used by frequency response functions only, [[error]] with of = "frf"'
         places = [*(file.where for file in _files_of(tests or [])), *["damping"] * bool(damping)]
@@ -98,6 +101,5 @@ def mistakes_of_frfs(
 
 
 def _files_of(tests: Sequence[TestTable]) -> list[FRFFile]:
-    """Return the list of the FRF files that the tests name."""
     named = [(i, test.data, test.name) for i, test in enumerate(tests)]
     return [FRFFile(f"tests.{i}.data", data, name) for i, data, name in named if data is not None]

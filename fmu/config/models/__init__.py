@@ -1,1 +1,1 @@
-"""``[model]``: the table of the structure, with one module for each type of model."""
+"""``[model]``: the table for the structure, with one module for each type of model."""

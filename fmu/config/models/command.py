@@ -1,4 +1,4 @@
-"""``[model] type = "command"``: a program that fmu runs on a filled input deck for every theta."""
+"""``[model] type = "command"``: a program that fmu runs with a filled-in input deck for every theta."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ else:
 
 
 class CommandTable(ModelTable):
-    """A finite-element program that fmu starts: it fills the template, runs the command, and reads the modes."""
+    """A finite-element program run by fmu, which fills in the template, runs the command and reads the modes."""
 
     type: Literal["command"]
     template: FileName
@@ -54,7 +54,7 @@ class CommandTable(ModelTable):
 
     @property
     def decks(self) -> list[str]:
-        """A list that contains the name of the template."""
+        """Name of the template, in a list."""
         return [self.template]
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:

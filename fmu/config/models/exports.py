@@ -1,4 +1,4 @@
-"""``[model] type = "exports"``: K(θ) and M(θ) from another program's matrices at several values of the parameters.
+"""``[model] type = "exports"``: K(θ) and M(θ) from matrices that a program exported at several parameter values.
 
 `fmu.fem.exports.from_exports` explains how K(θ) and M(θ) are recovered, `fmu.formats.models.read` lists the file
 formats, and `fmu.fem.programs.export_runs` says at which values fmu runs the program itself.
@@ -30,7 +30,7 @@ MOST_EXPORTS = 1000
 
 
 class ExportedTable(TomlTable):
-    """Matrices exported by a program, and the values of the parameters in that run, SI units."""
+    """Matrices exported by a program, and the parameter values in that run, in SI units."""
 
     stiffness: FileName | None = None
     """File of the stiffness matrix or of both matrices, relative to the folder of this file. If not given,
@@ -44,7 +44,7 @@ class ExportedTable(TomlTable):
 
 
 class _Files(NamedTuple):
-    """The parameter values, the files and the deck of one export."""
+    """Parameter values, files and input deck of one export."""
 
     values: Mapping[str, float]
     stiffness: Path
@@ -53,7 +53,7 @@ class _Files(NamedTuple):
 
 
 class RunsTable(TomlTable):
-    """A program that fmu runs to export matrices: one run for each parameter, or for each of the exports."""
+    """A program that fmu runs to export matrices: once for each parameter, or once for each listed export."""
 
     template: FileName
     """The input deck, relative to the folder of this file, with {NAME} for the value of each parameter: {E1},
@@ -75,7 +75,7 @@ class RunsTable(TomlTable):
 
 
 class ExportsTable(ModelTable):
-    """Matrices at initial values and with each parameter changed; ``free = true`` for an unsupported structure."""
+    """Matrices exported at initial values and with each parameter changed; ``free = true`` if unsupported."""
 
     type: Literal["exports"]
     exports: Annotated[list[ExportedTable], Field(max_length=MOST_EXPORTS)] = []
@@ -91,11 +91,14 @@ class ExportsTable(ModelTable):
 
     @property
     def decks(self) -> list[str]:
-        """A list that contains the name of the template; empty if there is no template."""
+        """Name of the template, in a list; empty if there is no template."""
         return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the list of errors in the exports and in the parameters, whose values the exports must give."""
+        """Check the exports and the parameters, and return the errors found.
+
+        The first export must give a value for each parameter.
+        """
         names = [parameter.name for parameter in parameters]
         found = Mistakes()
         if self.runs is None and len(self.exports) < 2:
@@ -115,7 +118,7 @@ class ExportsTable(ModelTable):
         return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model that is recovered from the exports. Raise BrokenError if this fails."""
+        """Recover the model from the exports. Raise BrokenError if this fails."""
         start = {p.name: p.start for p in parameters}
         units = unit_values(start)
         tables = self.exports or [ExportedTable(values=one, check=one is units[-1]) for one in units]
@@ -156,7 +159,7 @@ class ExportsTable(ModelTable):
     def _run_program(
         self, folder: Path, tables: Sequence[ExportedTable], values: Sequence[Mapping[str, float]]
     ) -> dict[int, _Files]:
-        """Run the program for the exports without files; return the files by the index of the export."""
+        """Run the program for each export without files; return the new files by export index."""
         which = [i for i, one in enumerate(tables) if one.stiffness is None]
         if self.runs is None or not which:
             return {}
@@ -183,7 +186,10 @@ class ExportsTable(ModelTable):
         }
 
     def _mesh(self, folder: Path, decks: Sequence[Path]) -> Mesh | None:
-        """Return the mesh in the file ``mesh``, or in the first deck if its format can be read, or None."""
+        """Read the mesh from the file ``mesh`` or, if none is given, from the first deck.
+
+        Returns None if the deck's format cannot be read.
+        """
         path, key = None if self.mesh is None else folder / self.mesh, "model.mesh"
         if path is None and decks and decks[0].suffix.lower() in MESHES:
             path, key = decks[0], "model.runs.template"

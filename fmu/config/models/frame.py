@@ -1,4 +1,4 @@
-"""``[model] type = "frame"``: straight members of beam elements between named points."""
+"""``[model] type = "frame"``: straight members made of beam elements between named points."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _spring(
 
 
 class Member(TomlTable):
-    """A straight member between two points with `elements` elements; `y_direction` as in `fmu.ElementGroup`."""
+    """A straight member between two points, with `elements` elements; `y_direction` as in `fmu.ElementGroup`."""
 
     start: Annotated[Name, Field(alias="from")]
     end: Annotated[Name, Field(alias="to")]
@@ -73,7 +73,7 @@ class Member(TomlTable):
 
 
 class FrameTable(ModelTable):
-    """A structure of beam elements; ``free = true`` if it is intentionally unsupported."""
+    """A structure made of beam elements; ``free = true`` if it is intentionally unsupported."""
 
     type: Literal["frame"]
     points: Annotated[dict[Name, Vector], Field(min_length=2)]
@@ -87,11 +87,11 @@ class FrameTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the inconsistencies between tables, such as unknown names and members without length."""
+        """Check for inconsistent tables, such as unknown names or zero-length members; return the errors found."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model, built without reading files, and the node of every point.
+        """Build the model, and return it with each point's node. No file is read.
 
         Raises BrokenError if this fails.
         """
@@ -108,7 +108,7 @@ class FrameTable(ModelTable):
 
     @property
     def groups(self) -> list[str]:
-        """The sorted names of the groups of members."""
+        """Names of the member groups, sorted."""
         return sorted({member.group for member in self.members})
 
     def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
@@ -119,7 +119,7 @@ class FrameTable(ModelTable):
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
-        """Return the errors in targets: unknown names or directions, or quantities updated by two parameters."""
+        """Return errors in parameter targets: unknown names or directions, or two parameters for one quantity."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
@@ -207,7 +207,7 @@ class FrameTable(ModelTable):
 
 
 class _Mesh:
-    """The nodes and elements of the frame that a table describes.
+    """Nodes and elements of the frame in a table.
 
     Members of a group may differ in section, material and orientation; the frame has one element group per member.
     """
@@ -224,7 +224,7 @@ class _Mesh:
                 self._node_at(end)
 
     def frame(self) -> Frame:
-        """Return the frame that the table describes. Raise ValueError if it cannot be built."""
+        """Build the frame. Raise ValueError if it is invalid."""
         table, at = self.table, self.node_of
         supports = {
             at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)
@@ -243,7 +243,7 @@ class _Mesh:
         return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
-        """Return the targets of a parameter in the form that `Frame.separable` takes: a list or a Factor."""
+        """Return a parameter's targets as `Frame.separable` takes them: a list of name tuples, or a Factor."""
         named = table.names_at(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
@@ -252,7 +252,7 @@ class _Mesh:
         return Factor(targets) if table.scaling == "factor" else list(targets)
 
     def label(self, node: int) -> str:
-        """Return a label for a node: the name of its point, or "between …" with the names of the member's ends."""
+        """Return a node's label: the name of its point, or "between …" with the names of the member's ends."""
         return next((name for name, number in self.node_of.items() if number == node), self._between.get(node, ""))
 
     def _node_at(self, point: str) -> int:
@@ -294,12 +294,12 @@ def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
 
 
 def _ends(spring: JointSpring) -> list[str]:
-    """Return the names of the one or two points at the ends of a spring."""
+    """Return the names of the one or two points that a spring connects."""
     return [str(end) for end in spring.nodes if end is not None]
 
 
 def _known_as(mass: PointMass) -> str:
-    """Return the name by which parameters refer to a mass: its own name, or the name of its point."""
+    """Return the name that parameters use for a point mass: its own name, or its point's name if it has none."""
     return mass.name or str(mass.node)
 
 

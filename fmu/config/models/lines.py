@@ -1,4 +1,4 @@
-"""``[model.points]`` and ``[[model.lines]]``: lines that depict a structure that is given by matrices."""
+"""``[model.points]`` and ``[[model.lines]]``: lines for plotting a structure that is given by matrices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fmu.formats.shown import names_shown, quote
 
 
 class LineTable(TomlTable):
-    """A line drawn between two points, in the colours of the parameters that change its member."""
+    """A line plotted between two points, coloured by the parameters that change this member."""
 
     points: Annotated[list[Name], Field(min_length=2, max_length=2)]
     parameters: list[Name] = []
@@ -26,7 +26,11 @@ class LineTable(TomlTable):
 def mistakes_of_lines(
     points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
 ) -> list[ArgumentError]:
-    """Return the errors in lines: unknown points or parameters, points without lines, or lines beside a mesh."""
+    """Check the lines for plotting, and return the errors found.
+
+    Lines must name known points and parameters. Points without any line are an error, and so are lines with a
+    mesh.
+    """
     names = [parameter.name for parameter in parameters]
     found = Mistakes()
     for i, line in enumerate(lines):
@@ -47,7 +51,7 @@ def mistakes_of_lines(
 def picture_of(
     points: Mapping[str, Sequence[float]], lines: Sequence[LineTable], parameters: Sequence[ParameterTable]
 ) -> LinePicture | None:
-    """Return the line picture of the structure, or None if there are no lines."""
+    """Return the structure as lines for plotting, or None if there are no lines."""
     if not lines:
         return None
     names = list(points)

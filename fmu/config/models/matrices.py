@@ -34,7 +34,7 @@ MOST_TERMS = 1000
 
 
 class TermTable(TomlTable):
-    """A matrix, in SI units, multiplied by powers of parameters."""
+    """A matrix in SI units, multiplied by powers of parameters."""
 
     file: FileName | None = None
     """File of the matrix, relative to the folder of this file."""
@@ -59,11 +59,11 @@ class TermTable(TomlTable):
 
     @property
     def source(self) -> str:
-        """The key that gives the matrix."""
+        """Key that gives the matrix."""
         return "matrix" if self.file is None else "file"
 
     def read(self, folder: Path) -> Labelled:
-        """Return the matrix with the names of its rows, if its file has them.
+        """Read the matrix, with row names if its file has them.
 
         Raises ValueError if it cannot be read.
         """
@@ -90,7 +90,7 @@ class MatricesTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the inconsistencies between tables, such as unknown parameters in powers or unused parameters."""
+        """Check for inconsistent tables, such as unknown or unused parameters, and return the errors found."""
         names = [parameter.name for parameter in parameters]
         found, used = Mistakes(), set[str]()
         for where, term in self._terms():
@@ -107,7 +107,7 @@ class MatricesTable(ModelTable):
         return found + self._of_powers(parameters) + super().mistakes(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model of the matrices, which are read from files. Raise BrokenError if it cannot be built."""
+        """Read the matrices and build the model. Raise BrokenError if this fails."""
         read: list[Labelled] = []
         found: list[ArgumentError] = []
         for where, table in self._terms():
@@ -153,7 +153,7 @@ class MatricesTable(ModelTable):
         return Built(model, {}, model.n_dof)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
-        """Return a list with the key in the file and the table of each term, stiffness terms first."""
+        """Return the key and table of each term, stiffness terms first."""
         both = (("stiffness", self.stiffness), ("mass", self.mass))
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
@@ -180,11 +180,10 @@ class MatricesTable(ModelTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
-        """Return the matrices expanded to the same degrees of freedom, and the names of these degrees of freedom.
+        """Expand the matrices to their common degrees of freedom, and return them with the names of these.
 
         If the files name their degrees of freedom, a matrix may omit those at which it is zero. Degrees of freedom
-        at which all matrices are zero are removed, as are those that Abaqus marks as supported by 1e36 in the
-        stiffness.
+        are removed if all matrices are zero there, or if Abaqus marks them as fixed by a stiffness of 1e36.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None
@@ -215,7 +214,7 @@ class MatricesTable(ModelTable):
         )
 
     def _at(self, k: int) -> str:
-        """Return the location in the file of the matrix of the term with index k."""
+        """Return the location in the file of term k's matrix."""
         where, table = self._terms()[k]
         return f"{where}.{table.source}"
 

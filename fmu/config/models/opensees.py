@@ -1,4 +1,4 @@
-"""``[model] type = "opensees"``: a Python file whose function ``build(theta)`` makes the model with openseespy.
+"""``[model] type = "opensees"``: a Python file whose function ``build(theta)`` creates the model with openseespy.
 
 Loading such a problem file runs the code in the Python file.
 """
@@ -25,7 +25,7 @@ WHERE = "model.file"
 
 
 class OpenSeesTable(ModelTable):
-    """A model in OpenSees; ``free = true`` if the structure is intentionally unsupported."""
+    """An OpenSees model; ``free = true`` if the structure is intentionally unsupported."""
 
     type: Literal["opensees"]
     file: Annotated[str, StringConstraints(max_length=500, pattern=PYTHON_FILE)]
@@ -43,7 +43,10 @@ class OpenSeesTable(ModelTable):
     free: bool = False
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Import the file and return the model that its function ``build`` makes. Raise BrokenError on failure."""
+        """Import the file, and return the model that its ``build`` function creates.
+
+        Raises BrokenError on failure.
+        """
         build = import_function(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
         start = np.array([table.start for table in parameters], dtype=float)
         bounds = [[np.nan if end is None else end for end in (table.lower, table.upper)] for table in parameters]

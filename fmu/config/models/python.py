@@ -33,8 +33,8 @@ LARGEST_MODULE = 2**24
 class PythonTable(ModelTable):
     """A function of theta that returns frequencies in Hz, or frequencies, shapes and gradients.
 
-    Set ``batched = true`` if it takes many theta at once. ``step`` is the step of central differences, relative to
-    the range of each parameter, if the function returns no gradient. ``store`` is a folder, relative to the folder
+    Set ``batched = true`` if it accepts many theta at once. ``step`` is the central-difference step relative to
+    each parameter's range, used if the function returns no gradient. ``store`` is a folder, relative to the folder
     of this file, for results that took 0.05 s or longer. They are reused while the function's file and your own
     modules that it imports are unchanged. In every run the function is called at the starting point, and must
     reproduce the stored result.
@@ -47,7 +47,7 @@ class PythonTable(ModelTable):
     store: FileName = "solves"
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model of the function, which is imported. Raise BrokenError if it cannot be imported."""
+        """Import the function, and return its model. Raise BrokenError if it cannot be imported."""
         function = import_function(self.function, folder)
         store = folder / self.store if source_digest(function) else None
         model = BlackBoxModel(
@@ -63,11 +63,11 @@ class Imported:
     ----------
     function : callable
     place : str
-        Module and name of the function, as ``module:function``.
+        Module and function name, as ``module:function``.
     folder : Path
-        The folder of the module.
+        The module's folder.
     where : str
-        The key of the file that names the function, for messages.
+        Key in the file that names the function, for messages.
     """
 
     def __init__(self, function: Callable[..., object], place: str, folder: Path, where: str = WHERE) -> None:
@@ -86,18 +86,18 @@ class Imported:
 
 
 def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..., object]:
-    """Return the function at ``module:function``, from a module in a folder or from an installed module.
+    """Import the function ``module:function`` from a module in a folder, or from an installed module.
 
     Parameters
     ----------
     place : str
-        Module and name of the function, as ``module:function``.
+        Module and function name, as ``module:function``.
     folder : Path
-        The folder that is searched first. The module can import other modules of this folder, but only while it
-        is imported itself; afterwards all modules from the folder are removed from ``sys.modules``, where problem
-        files in other folders would find them.
+        The folder to search first. The module can import other modules from this folder, but only while it is
+        being imported. Afterwards the folder's modules are removed from ``sys.modules``, so that problem files in
+        other folders do not find them.
     where : str
-        The key of the file that names the function, for messages.
+        Key in the file that names the function, for messages.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def _not_importable(name: str, error: BaseException, where: str) -> BrokenError:
 
 
 def _beside(name: str, folder: Path) -> Path | None:
-    """Return the source file of a module in a folder; None if the folder has no such module."""
+    """Return a module's source file in a folder, or None if the folder has no such module."""
     path = folder.joinpath(*name.split("."))
     files = (path / "__init__.py", path.with_name(f"{path.name}.py"))
     return next((file for file in files if not why_no_file(file)), None)
@@ -153,7 +153,7 @@ def _beside(name: str, folder: Path) -> Path | None:
 
 @contextmanager
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
-    """Within a with block, search a folder first for imports; then remove its modules. No bytecode is written."""
+    """In a ``with`` block, import from a folder first; remove its modules afterwards. No bytecode is written."""
 
     def of_folder(module: object) -> bool:
         if not issubclass(type(module), ModuleType):  # sys.modules may contain objects of any type

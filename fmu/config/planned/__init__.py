@@ -1,1 +1,1 @@
-"""Tables of tests that have not been carried out yet."""
+"""Tables for tests that have not been carried out yet."""

@@ -1,4 +1,4 @@
-"""``[plan]``: a modal test that is planned."""
+"""``[plan]``: a planned modal test."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ChangeTable(TomlTable):
 
 
 class DamageTargetTable(TomlTable):
-    """The decision that a test is for: whether a parameter has lost more than a given fraction of its value."""
+    """The decision that the test supports: whether a parameter has dropped by more than a given fraction."""
 
     of: Annotated[list[Name], Field(min_length=1)]
     """Parameters that vary with ``varies = "damage"`` or by group; with one test, those that may lose stiffness
@@ -41,7 +41,7 @@ class DamageTargetTable(TomlTable):
     """With one test: prior of each loss, by default normal with mean 0 and sd 0.3, between −0.5 and 0.95."""
 
     def build(self) -> DamageTarget:
-        """Return the target that the table describes."""
+        """Return the damage target described by this table."""
         return DamageTarget(self.of, self.beyond, None if self.prior is None else self.prior.build())
 
 
@@ -96,7 +96,7 @@ class PlanTable(TomlTable):
 
     @property
     def key_of_target(self) -> str:
-        """The key of the target in the problem file, for messages."""
+        """Key of the target in the problem file, for messages."""
         return "plan.target" if self.damage is None else "plan.damage"
 
     def count_modes(self) -> int:
@@ -104,7 +104,7 @@ class PlanTable(TomlTable):
         return _MODES if self.modes is None else self.modes if isinstance(self.modes, int) else max(self.modes)
 
     def all_sensors(self, built: Built) -> tuple[Dof, ...]:
-        """Return the candidate and mounted sensors, for a model without a list of degrees of freedom.
+        """Return the candidate and mounted sensors, for a model that does not list its degrees of freedom.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class PlanTable(TomlTable):
         return tuple(dict.fromkeys(every))
 
     def options(self, built: Built) -> dict[str, Any]:
-        """Return the arguments of `fmu.plan`, except for the problem."""
+        """Return the arguments for `fmu.plan`, except the problem."""
         given = None if self.candidates is None else _sensors(self.candidates, built)
         if given is None and built.separable is not None:
             given = [dof for dof in built.separable.dofs if dof[1] in self.directions]

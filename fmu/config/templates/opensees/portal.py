@@ -1,4 +1,4 @@
-"""A portal frame in OpenSees. fmu calls build(theta), which makes the model but defines no analysis."""
+"""A portal frame in OpenSees. fmu calls build(theta), which creates the model but defines no analysis."""
 
 import openseespy.opensees as ops
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ A, I, RHO, E_LEGS = 5.4e-3, 3.9e-5, 7850.0, 2.1e11  # noqa: E741
 
 
 def build(theta: NDArray) -> None:
-    """Make the frame at theta: beam's Young's modulus in Pa, rotational stiffness of the feet in N·m/rad."""
+    """Create the frame at theta: the beam's Young's modulus in Pa, the feet's rotational stiffness in N·m/rad."""
     E_beam, k = theta
     ops.model("basic", "-ndm", 2, "-ndf", 3)
     steps = [i / PARTS for i in range(PARTS + 1)]

@@ -10,7 +10,7 @@ STIFFNESS = np.array([2.4e7, 1.8e7, 1.8e7])
 
 
 def modes(theta: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the modes at theta, shape (2,): stiffness factors of the lowest storey and of the upper storeys.
+    """Return the modes at theta, shape (2,): stiffness factors for the lowest storey and for the upper storeys.
 
     The function may also return just an array of frequencies in Hz, shape (n_modes,), with any number of modes.
     """
