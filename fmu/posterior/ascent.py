@@ -1,4 +1,4 @@
-"""Gauss–Newton ascents of a log-density within a box, from many starts in lockstep as one array."""
+"""Gauss–Newton ascents of a log-density within a box, from many starting points at once as one array."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FIRST_DAMPING, MOST_DAMPING = 1e-2, 1e12
 
 @dataclass(frozen=True)
 class Ascent:
-    """The results of `ascend`.
+    """Results of `ascend`.
 
     Attributes
     ----------
@@ -45,10 +45,10 @@ class Ascent:
 
 
 class GaussNewton:
-    """V = −log P of a problem, in the coordinates u of a `ScaledDensity`, by default (θ − offset)/scale.
+    """V = −log P of a problem, in the coordinates u of a `ScaledDensity`; by default u = (θ − offset)/scale.
 
     With the residuals r (errors divided by their standard deviations) and their Jacobian J, ∇²V is approximated by
-    JᵀJ plus the curvature of the prior; the terms r_i ∇²r_i are neglected (Nocedal & Wright 2006, section 10.3).
+    JᵀJ plus the prior's curvature; the terms r_i ∇²r_i are neglected (Nocedal & Wright 2006, section 10.3).
     Inferred standard deviations contribute their Fisher information (Fisher scoring).
     """
 
@@ -57,7 +57,7 @@ class GaussNewton:
         self._scaled = ScaledDensity(problem) if scaled is None else scaled
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
+        """Return V, its gradient and its Gauss–Newton Hessian at u; V is infinite where the model fails."""
         p, scaled = self.problem, self._scaled
         theta = scaled.to_theta(u)
         log_likelihood, slope, information = p.quadratic(theta)
@@ -83,17 +83,18 @@ def ascend(
     tolerance: float = 1e-9,
     max_steps: int = 100,
 ) -> Ascent:
-    """Ascend from every start to a local maximum of −V within a box, by the Levenberg–Marquardt method.
+    """Ascend from every starting point to a local maximum of −V within a box, by the Levenberg–Marquardt method.
 
-    Each step minimises the quadratic model with an enlarged diagonal within the box. The enlargement follows the
-    ratio of actual and predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where
+    Each step minimises the quadratic model, with an enlarged diagonal, within the box. The enlargement depends on
+    the ratio of actual to predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where
     computed modes swap, the quadratic model is invalid, and the ascent does not end at a stationary point.
 
     Parameters
     ----------
     quadratic : callable
+        Returns V, its gradient and its Hessian.
     start : ndarray, shape (n, ndim)
-        Starts within the box. Starts with an infinite V are returned unchanged.
+        Starting points within the box. Points with infinite V are returned unchanged.
     lower, upper : ndarray, shape (ndim,)
         Limits of the box.
     tolerance : float
@@ -135,14 +136,14 @@ def ascend(
 
 
 def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:
-    """Return whether the last steps are accepted, and the damping of the next steps.
+    """Return a mask of the accepted steps, and the damping for the next steps.
 
     Parameters
     ----------
     damping : array_like
         Relative enlargement of the diagonal in the last steps.
     ratio : array_like
-        Ratio of the actual and the predicted change of V in the last steps.
+        Ratio of actual to predicted change of V in the last steps.
     """
     ratio = np.asarray(ratio)
     better = ratio > 1e-4
@@ -151,24 +152,24 @@ def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, Flo
 
 
 def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
-    """Return a mask of the coordinates that are at a bound and in which V decreases outwards, shape (n, ndim)."""
+    """Return a mask (n, ndim) of the coordinates that are at a bound while V decreases outwards."""
     return ((u <= lower) & (g > 0)) | ((u >= upper) & (g < 0))
 
 
 def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the predicted decrease of V in an undamped step, (n,), with coordinates of `find_pressed` fixed."""
+    """Return the predicted decrease of V in an undamped step, (n,), with the `find_pressed` coordinates fixed."""
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, _invertible(H), held, np.zeros_like(u))
     return -0.5 * np.sum(np.where(held, 0.0, g) * s, axis=1)
 
 
 def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return steps that decrease the model g·s + sᵀAs/2 within the box, shape (n, ndim).
+    """Return steps (n, ndim) that decrease the quadratic model g·s + sᵀAs/2 within the box.
 
     The exact minimum in a box is a quadratic programme. Three cheap candidates are enough, since the damping
     corrects a poor step: the Newton step clipped to the box, the Newton step shortened to the first bound, and an
-    active-set step. The latter fixes coordinates at the bounds that they would cross and solves for the remaining
-    coordinates, until all are inside.
+    active-set step. The last one fixes coordinates at the bounds that they would cross and solves for the
+    remaining coordinates, until all are inside.
     """
     # coordinates at a bound in which V decreases outwards are held
     held = find_pressed(u, g, lower, upper)
@@ -206,6 +207,6 @@ def _predicted_decrease(s: FloatArray, g: FloatArray, A: FloatArray) -> FloatArr
 
 
 def _invertible(H: FloatArray) -> FloatArray:
-    """Return H with a small multiple of the identity added, which regularises undetermined directions."""
+    """Return H plus a small multiple of the identity, which makes undetermined directions invertible."""
     n = H.shape[1]
     return H + (1e-12 * (1.0 + np.trace(H, axis1=1, axis2=2)))[:, None, None] * np.eye(n)

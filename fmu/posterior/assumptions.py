@@ -1,4 +1,4 @@
-"""The assumptions of a posterior in words and numbers, from the configuration of a problem stored in a trace."""
+"""State a posterior's assumptions in words and numbers, from a problem's configuration stored in a trace."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ Inferred = Mapping[str, tuple[float, float]]
 
 
 class Assumptions(NamedTuple):
-    """The assumptions of the posterior of a problem.
+    """The assumptions behind a problem's posterior.
 
     Attributes
     ----------
     sentences : tuple of str
         Sentences on the error models, the priors, the pairing and the reduced model.
     errors : tuple of tuple of str
-        For each measured mode, its label, its frequency in Hz, and the standard deviation of its error in Hz and
-        in per cent; empty if there are no errors of frequencies.
+        For each measured mode, its label, its frequency in Hz, and its error sd in Hz and in per cent; empty if
+        there are no frequency errors.
     has_inferred : bool
-        Whether standard deviations are inferred.
+        Whether error sds are inferred.
     """
 
     sentences: tuple[str, ...]
@@ -48,22 +48,22 @@ def assumptions(
     elsewhere: float | None = None,
     log_prob: float | None = None,
 ) -> Assumptions | None:
-    """Return the assumptions of the posterior of a problem.
+    """Return the assumptions behind a problem's posterior.
 
     Parameters
     ----------
     problem : mapping
         The dict returned by `UpdatingProblem.configuration`, or the same dict read from a trace.
     reduction : float or None
-        Relative error of a frequency that the reduced model may have; None if there is no reduced model.
+        Relative frequency error allowed in the reduced model; None if there is no reduced model.
     inferred : mapping of str to (float, float), optional
-        Posterior mean and standard deviation of each inferred standard deviation, after a run.
+        Posterior mean and standard deviation of each inferred error sd, after a run.
     error : float, optional
-        Largest relative error of a frequency found by the certificate of a run.
+        Largest relative frequency error found by a run's certificate.
     elsewhere : float, optional
-        Relative error allowed to a frequency outside the mass of the posterior, if it is larger than `reduction`.
+        Relative frequency error allowed outside the bulk of the posterior, if it is larger than `reduction`.
     log_prob : float, optional
-        Error that the log-probability may have because of the reduced model.
+        Log-probability error allowed because of the reduced model.
 
     Returns
     -------
@@ -119,7 +119,7 @@ _OF = {
 
 
 def _between_tests(problem: Mapping[str, Any]) -> list[str]:
-    """Return the list of sentences on the parameters in several tests of one structure."""
+    """Return the sentences on how parameters differ between several tests of one structure."""
     if "tests" not in problem:
         return []
     said = ["A parameter has one value in all tests, unless it is named for one of them or for a group."]
@@ -141,7 +141,7 @@ def _between_tests(problem: Mapping[str, Any]) -> list[str]:
 def _errors(
     likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
 ) -> list[str]:
-    """Return the list of sentences on the error models."""
+    """Return the sentences on the error models."""
     if likelihood.get("error") == "modal-residual":
         size = _range(np.asarray(likelihood["beta"]))
         return [f"The error is the modal residual of eq. (2), a pseudo-likelihood without noise: β = {size}."]
@@ -185,7 +185,7 @@ def _errors(
 
 
 def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
-    """Return known standard deviations as text, in per cent for relative errors, in Hz for absolute errors."""
+    """Return known standard deviations as text: relative errors in per cent, absolute errors in Hz."""
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
@@ -221,7 +221,7 @@ def _by_mode(
 def frequency_sd(
     likelihood: Mapping[str, Any], parameters: Any, measured: FloatArray, inferred: Inferred | None
 ) -> FloatArray | None:
-    """Return the standard deviation of the frequency error of each mode, (n_modes,), Hz; None if it is unknown.
+    """Return each mode's frequency error sd, (n_modes,), in Hz, or None if it is unknown.
 
     An inferred standard deviation is represented by its posterior mean or, before a run, by its starting value.
     """

@@ -1,4 +1,4 @@
-"""Construction of the paired model and the likelihood of an updating problem."""
+"""Construct the paired model and the likelihood of an updating problem."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check_names(parameters: Sequence[Parameter]) -> None:
 
 
 def check_held(layout: Layout, model: ModalModel) -> None:
-    """Raise ValueError if no parameter is updated, or a model without matrices has one that is not updated."""
+    """Raise ValueError if no parameter is updated, or some are not although the model has no matrices."""
     if layout.held and not layout.parameters:
         raise ArgumentError("parameters", "one at least must be updated", "none")
     if layout.held and any(structure_of(part) is None for part in model.parts):
@@ -142,7 +142,7 @@ def likelihood_of(
     error : str, ErrorModel or sequence of ErrorModel
         See `fmu.posterior.problem.UpdatingProblem`.
     beta : float or array_like, optional
-        β of errors that are given by their name.
+        β = 1/(2σ²) for error models given by name.
     model, paired : SeparableModel, BlackBoxModel or ModalModel
         The user's model, and the same model paired with the data.
     data : ModalData
@@ -150,7 +150,7 @@ def likelihood_of(
         Parameters of the model.
     discrepancy : Discrepancy or sequence of Discrepancy
     layout : Layout
-        The parameters of the structure in the tests.
+        Gives the structural parameters in the tests.
 
     Raises
     ------
@@ -159,10 +159,9 @@ def likelihood_of(
 
     Notes
     -----
-    Errors of a mass or a displacement are added to the errors of the modes. If only errors of masses or
-    displacements are given, the frequencies have their default errors. If only errors of frequency response
-    functions are given, the modes are not part of the likelihood: they are still paired, and the search for maxima
-    begins with them.
+    Mass and displacement errors are added to the mode errors. If only mass or displacement errors are given, the
+    frequencies keep their default errors. If only frequency response function errors are given, the modes are not
+    part of the likelihood: they are still paired, and the search for maxima begins with them.
     """
     given: Sequence[Any] = as_list(error)
     errors_of, structure = Errors.of(error), separable_in(model)
@@ -221,7 +220,7 @@ def _likelihood_of_frfs(
     discrepancy: Discrepancy | Sequence[Discrepancy],
     layout: Layout,
 ) -> Likelihood:
-    """Return the likelihood of frequency response functions and of the modes that have errors beside them."""
+    """Return the likelihood of frequency response functions, together with that of any modes with error models."""
     errors = Errors.of(given)
     of_frfs = list(errors.of_frfs.values())
     if len(layout.tests) == 1:
@@ -269,7 +268,7 @@ def _likelihood_of_frfs(
 
 
 def _check_single(given: Sequence[QuantityErrors]) -> None:
-    """Raise ArgumentError if an error model of a single test names a test."""
+    """Raise ArgumentError if an error model names a test although there is only one."""
     named = [one.test for one in given if one.test is not None]
     if named:
         raise ArgumentError("test", "must not be given where there is one test only", repr(named[0]))

@@ -27,8 +27,8 @@ from fmu.types import BoolArray, Chain, ComplexArray, FloatArray, Plain
 class Posterior:
     """The posterior of eq. (8) as a density of theta.
 
-    The layout maps theta to the parameters of the structure in every test, the model maps these to the modes, and
-    the likelihood compares the modes with the data; the prior is a density of theta. This class is the base of
+    The layout maps theta to the structural parameters in every test, the model maps these to the modes, and the
+    likelihood compares the modes with the data; the prior is a density of theta. This class is the base of
     `fmu.posterior.problem.UpdatingProblem`, which constructs its attributes and describes them.
     """
 
@@ -54,20 +54,23 @@ class Posterior:
     _failed: FailureRecord
 
     def with_model(self, model: ModalModel) -> Self:
-        """Return the same problem with another model of the same parameters and modes."""
+        """Return the same problem with another model, which has the same parameters and modes."""
         other = copy(self)
         other.model, other.likelihood = model, self.likelihood.with_model(model)
         other._failed = FailureRecord()
         return other
 
     def with_likelihood(self, likelihood: Likelihood) -> Self:
-        """Return the same problem with another likelihood of the same parameters."""
+        """Return the same problem with another likelihood, which has the same parameters."""
         other = copy(self)
         other.likelihood, other._failed = likelihood, FailureRecord()
         return other
 
     def log_prob(self, theta: ArrayLike) -> Any:
-        """Return log P(θ|D) up to the evidence: the sum of `log_likelihood` and `log_prior`."""
+        """Return log P(θ|D) up to the log-evidence: the sum of `log_likelihood` and `log_prior`.
+
+        The result is a float for theta (ndim,) and has shape (n,) for theta (n, ndim).
+        """
         points, single = self._points(theta)
         within = self._within(points)
         if np.count_nonzero(within) == within.size > 0:  # the usual case, without copies
@@ -80,7 +83,10 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return the log-probability and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
+        """Return the log-probability and its gradient with respect to theta.
+
+        The gradient has the shape of theta and is NaN outside the bounds.
+        """
         points, single = self._points(theta)
         within = self._within(points)
         if np.count_nonzero(within) == within.size > 0:
@@ -93,7 +99,7 @@ class Posterior:
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
-        """Return log P(D|θ), eq. (4) with its normaliser (5); defined outside the bounds too."""
+        """Return log P(D|θ), eq. (4) with its normaliser (5); it is defined outside the bounds too."""
         points, single = self._points(theta)
         value = self._terms(points).sum(axis=1)
         return float(value[0]) if single else value
@@ -108,9 +114,9 @@ class Posterior:
         return terms[0] if single else terms
 
     def terms_of_tests(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf where it has failed.
+        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf where its solve failed.
 
-        `log_likelihood_terms` returns -inf for all data of a theta at which one has failed.
+        Unlike here, `log_likelihood_terms` returns -inf for all data at a theta if one of them fails.
         """
         terms = self.likelihood.terms(self.layout.of_model(theta))
         self._record_failures(terms, theta)
@@ -125,14 +131,14 @@ class Posterior:
         ----------
         theta : ndarray, shape (n, ndim)
         frequencies : ndarray, shape (n, n_modes), Hz, optional
-            Frequencies of the model at theta, if they are known. The model is solved again only if the likelihood
+            The model's frequencies at theta, if they are known. The model is solved again only if the likelihood
             needs more than the frequencies.
 
         Returns
         -------
         terms : ndarray, shape (n, n_used)
         squares : ndarray, shape (n, n_kinds, n_used)
-            Σ r² over the residuals r of a mode, for each error model of ``likelihood.chi_square``.
+            Σ r² over the residuals r of a mode, for each error model in ``likelihood.chi_square``.
         """
         terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta), frequencies)
         return self._record_failures(terms, theta), squares
@@ -147,18 +153,17 @@ class Posterior:
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The likelihood must be one of computed modes; theta has the shape (n, ndim). The information on the
-        parameters of the structure is JᵀJ, with the Jacobian J of the residuals. The information on the inferred
-        standard deviations is Fisher's.
+        The likelihood must be that of computed modes. The information on the structural parameters is JᵀJ, where J
+        is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds is Fisher's.
         """
         return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
 
     def sensitivity(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the residuals, (n, n_residuals, n_structural), at theta (n, ndim)."""
+        """Return the residuals' derivatives, (n, n_residuals, n_structural), at theta (n, ndim)."""
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
-        """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
+        """Return the log-prior (6), normalised over the bounds; ``-inf`` outside them."""
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._within(points).all(axis=1)
@@ -166,7 +171,7 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return `log_prior` and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
+        """Return `log_prior` and its gradient (NaN outside the bounds), with the shapes of `log_prob_and_grad`."""
         points, single = self._points(theta)
         value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
         inside = self._within(points).all(axis=1)
@@ -177,8 +182,8 @@ class Posterior:
     def frfs(self, theta: ArrayLike) -> tuple[ComplexArray, ...]:
         """Return the computed frequency response functions, one array for each `fmu.FRFErrors`.
 
-        Each has the shape (n_frfs, n_lines) or (n, n_frfs, n_lines), in the units of the data. The lines are those
-        that at least one FRF uses.
+        Each has the shape (n_frfs, n_lines) or (n, n_frfs, n_lines), in the units of the data. The frequency lines
+        are those that at least one FRF uses.
         """
         points, single = self._points(theta)
         found = [term.frfs(own) for term, own in self.responses_at(points)]
@@ -199,15 +204,15 @@ class Posterior:
         return frequencies[0] if single else frequencies
 
     def model_parameters(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters of the model, (n, n_parameters), at theta (n, ndim).
+        """Return the model's parameters, (n, n_parameters), at theta (n, ndim).
 
-        With several tests, the parameters of the structure in the first test come first, then those in the second
-        test, and so on.
+        With several tests, the structural parameters in the first test come first, then those in the second test,
+        and so on.
         """
         return self.layout.of_model(theta)[:, : self.model.n_parameters]
 
     def values(self, theta: ArrayLike) -> FloatArray:
-        """Return the parameters of the structure in every test, shape (n_tests, n) or (n_points, n_tests, n).
+        """Return the structural parameters in every test, shape (n_tests, n) or (n_points, n_tests, n).
 
         Parameters
         ----------
@@ -216,8 +221,8 @@ class Posterior:
         Returns
         -------
         ndarray
-            Values in the order of the tests and of ``layout.structural``. If the value of a parameter is known in
-            a test, it is the known value.
+            Values in the order of the tests and of ``layout.structural``. A parameter that is known in a test has
+            its known value.
         """
         points, single = self._points(theta)
         values = self.layout.values(points[:, : self.n_structural])
@@ -238,15 +243,15 @@ class Posterior:
         return self._failed.count
 
     def take_failures(self) -> list[Failure]:
-        """Return the list of failures since this method was last called; the failures remain in `failures`.
+        """Return the failures since this method was last called; they remain in `failures`.
 
-        A theta that failed several times is returned once. At most ten thousand failures are kept; `n_failures`
+        A theta that failed several times is returned once. At most ten thousand failures are stored; `n_failures`
         counts all failures.
         """
         return self._failed.take()
 
     def configuration(self) -> dict[str, Plain]:
-        """Return a dict of the settings and data that define the posterior, in plain Python types."""
+        """Return the settings and data that define the posterior as a dict of plain Python types."""
         other = {} if self.tolerance in (None, Tolerance(), MEASURED) else {"reduction": self.tolerance.frequency}
         of_tests = {} if len(self.tests) == 1 else self.layout.configuration()
         if self.layout.held:
@@ -272,7 +277,7 @@ class Posterior:
 
     @property
     def solves_per_gradient(self) -> int:
-        """Cost of `log_prob_and_grad` at one theta in solves of the model: 1 if derivatives are exact."""
+        """Cost of `log_prob_and_grad` at one theta in model solves: 1 if derivatives are exact."""
         of_model, often = self.model, self.likelihood.predictions_per_gradient
         shapes = self.likelihood.needs_shapes
         return often * (of_model.solves_per_shape_gradient if shapes else of_model.solves_per_gradient)
@@ -310,9 +315,9 @@ class Posterior:
         return None if theta is None else theta[:, self.n_structural :]
 
     def _chain(self, theta: FloatArray) -> Chain | None:
-        """Return the function that applies the chain rule from the parameters of each test to theta.
+        """Return the function that applies the chain rule from each test's parameters to theta.
 
-        Return None if theta has the parameters of a single test themselves.
+        Return None if theta consists of a single test's parameters, so that no chain rule is needed.
         """
         if self.layout.is_identity:
             return None
@@ -328,7 +333,7 @@ class Posterior:
 
     @property
     def support(self) -> tuple[FloatArray, FloatArray]:
-        """The lowest and highest values with a density, (ndim,) each: the bounds, or the next values inside."""
+        """Lowest and highest theta with a positive density, (ndim,) each: the bounds or the next floats inside."""
         return self._lowest[0], self._highest[0]
 
     def _within(self, points: FloatArray) -> BoolArray:
@@ -351,7 +356,7 @@ class Posterior:
         return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Return `terms` with -inf for all terms of a point with a non-finite term, and record such points."""
+        """Record points with a non-finite term; return `terms` with -inf for all terms of these points."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

@@ -1,4 +1,4 @@
-"""The record of points inside the bounds without a finite log-likelihood, each with the reason."""
+"""Record points inside the bounds that have no finite log-likelihood, each with the reason."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ MOST_KEPT = 10_000
 class FailureRecord:
     """A record of the first failed points, and of the points that failed since `take` was last called.
 
-    At most `most` points of either kind are kept with their reasons, so memory and time are bounded; `count`
+    At most `most` points of either kind are stored with their reasons, so memory and time are bounded; `count`
     counts all failures. A pickled record is empty, so that another process records only its own failures.
 
     Parameters
     ----------
     most : int
+        Largest number of points to store.
 
     Attributes
     ----------
@@ -39,7 +40,7 @@ class FailureRecord:
         return FailureRecord, (self.most,)
 
     def add(self, points: FloatArray, why: Callable[[FloatArray], str]) -> None:
-        """Record failed points (n, ndim); ``why(theta)`` returns the reason and is called only for points kept."""
+        """Record failed points (n, ndim); ``why(theta)`` gives the reason and is called for stored points only."""
         self.count += len(points)
         for theta in points:
             if len(self._waiting) >= self.most:
@@ -53,7 +54,7 @@ class FailureRecord:
                 self.first.append(failure)
 
     def take(self) -> list[Failure]:
-        """Return the list of failures since this method was last called, in order."""
+        """Return the failures since this method was last called, in order."""
         taken = list(self._waiting.values())
         self._waiting.clear()
         return taken

@@ -1,7 +1,7 @@
-"""The search for local maxima of a posterior from several starts, since a single optimum need not be the mode.
+"""Search for a posterior's local maxima from several starting points, since a single optimum need not be the mode.
 
-Gauss–Newton ascents from all starts run in lockstep as one array. Ascents close to the same maximum are continued
-from the highest point only, and equal results are merged.
+Gauss–Newton ascents from all starting points advance together as one array. Ascents close to the same maximum are
+continued from the highest point only, and equal results are merged.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
 
 @dataclass(frozen=True)
 class Maximum:
-    """A local maximum theta (ndim,) within the bounds, its log-probability and the count of starts reaching it."""
+    """A local maximum within the bounds: theta (ndim,), its log-probability, and how many ascents ended there."""
 
     theta: FloatArray
     log_prob: float
@@ -50,36 +50,35 @@ def local_maxima(
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The search starts from ``problem.start`` and from scrambled Sobol points in the box of the priors. If the
-    likelihood consists of errors of modes, all starts ascend together by Gauss–Newton steps (`ascend`). Where
-    several ascents have come close together just below a maximum, only the highest continues. Of the ascents that
-    stall at a kink, the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other
-    likelihood, every start ascends by L-BFGS-B. Two results are the same maximum if no valley separates them: on
-    the straight line between the two points, the log-probability is nowhere more than 0.1 below the lower of the
-    two values.
+    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. If the likelihood
+    consists of mode errors, all points ascend together by Gauss–Newton steps (`ascend`). Where several ascents
+    have come close together just below a maximum, only the highest continues. Of the ascents that stall at a kink,
+    the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other likelihood, every point
+    ascends by L-BFGS-B. Two results are the same maximum if no valley separates them: on the straight line between
+    the two points, the log-probability is nowhere more than 0.1 below the lower of the two values.
 
-    If the model has a discrepancy, the starts ascend without it first, and the highest eight ends continue with
-    it. Of the starts, 64 ascend with it from the first step (`_starts_with_discrepancy`).
+    If the model has a discrepancy, the points ascend without it first, and the highest eight ends continue with
+    it. In addition, 64 of them ascend with it from the first step (`_starts_with_discrepancy`).
 
     Parameters
     ----------
     problem : UpdatingProblem
     starts : int
-        Number of starts, at least 1; the first is ``problem.start``. Where modes swap, only a small fraction of
-        the starts may reach an important maximum: in the example cantilever-section, with pairing by number, one
-        start in twelve reaches the maximum that holds nearly all of the probability.
+        Number of starting points, at least 1; the first is ``problem.start``. Where modes swap, few ascents may
+        reach an important maximum: in the example cantilever-section, with pairing by number, one in twelve
+        reaches the maximum that holds nearly all of the probability.
     seed : int
     near : ndarray, shape (n, ndim), optional
-        Further starts, SI units.
+        Further starting points, in SI units.
     most_solves : float
-        Largest number of solves. If it is finite, the starts ascend one after the other, and none begins once the
-        limit is reached. For a likelihood without errors of modes, the search also ends after sixteen ascents that
+        Largest number of solves. If it is finite, the ascents run one after the other, and none begins once the
+        limit is reached. For a likelihood without mode errors, the search also ends after sixteen ascents that
         have found more than eight distinct maxima.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive, or no start has a log-probability with a finite gradient.
+        If `starts` is not positive, or no starting point has a log-probability with a finite gradient.
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
@@ -101,7 +100,7 @@ def local_maxima(
 
 
 def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
-    """Return the highest points that ascents from scaled points (n, ndim) reach, (m, ndim)."""
+    """Return the highest points that ascents from scaled points (n, ndim) reach, shape (m, ndim)."""
     scaled = ascent_coordinates(problem)
     ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH)
     found = leaders(ends)[0]
@@ -111,21 +110,21 @@ def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
 def _starts_with_discrepancy(
     problem: Posterior, scaled: ScaledDensity, at_once: FloatArray, ends: FloatArray, n_sizes: int
 ) -> FloatArray:
-    """Return the highest scaled points (m, ndim) that few steps with the discrepancy of a model reach.
+    """Return the highest scaled points (m, ndim) reached by a few ascent steps with the model discrepancy.
 
-    Near crossings of modes its variances change too fast for Gauss–Newton steps, and most ascents never arrive.
-    They are given up after `_MOST_STEPS` if they are `_HOPELESS` nats below the highest one that has arrived. If
-    none of `ends` leads to a maximum, they are tried again with a tenth of the discrepancy: the smaller it is, the
-    closer are its maxima.
+    Near mode crossings its variances change too fast for Gauss–Newton steps, and most ascents never arrive. They
+    are abandoned after `_MOST_STEPS` if they are `_HOPELESS` nats below the highest one that has arrived. If none
+    of `ends` leads to a maximum, they are retried with a tenth of the discrepancy: the smaller it is, the closer
+    its maxima are.
 
     Parameters
     ----------
     at_once : ndarray, shape (k, ndim)
         Scaled points that ascend with the discrepancy from the first step.
     ends : ndarray, shape (l, ndim)
-        Scaled ends of ascents without it.
+        Scaled end points of ascents without it.
     n_sizes : int
-        Number of inferred sizes of the discrepancy, the last parameters.
+        Number of inferred discrepancy sds, which are the last parameters.
     """
     quadratic, is_size = GaussNewton(problem, scaled), np.arange(problem.ndim) >= problem.ndim - n_sizes
     theta, reached = scaled.to_theta(ends), list[Ascent]()
@@ -146,7 +145,7 @@ def _starts_with_discrepancy(
 def maxima_from(
     problem: Posterior, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
-    """Return the tuple of maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
+    """Return the maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
     before = solves()
     if not problem.likelihood.of_modes:
         tops = list[Maximum]()
@@ -179,7 +178,7 @@ def maxima_from(
 
 
 def _nowhere(problem: Posterior, n: int) -> str:
-    """Return the message that explains why no start has a finite gradient."""
+    """Return the message that explains why no starting point has a finite gradient."""
     why = ""
     still = np.flatnonzero(~(problem.frequencies(problem.start) > 0.0))
     if len(still):
@@ -192,7 +191,7 @@ def _nowhere(problem: Posterior, n: int) -> str:
 
 
 def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
-    """Return the scaled starting points (starts, ndim) within the bounds."""
+    """Return scaled starting points within the bounds, shape (starts, ndim)."""
     from scipy.stats import qmc
 
     lower, upper = box(problem.parameters)
@@ -207,7 +206,7 @@ def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, see
 
 
 def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
-    """Return the highest of each group of close end points, (n, ndim), and the size of each group, (n,)."""
+    """Return the highest point of each group of close end points, (n, ndim), and each group's size, (n,)."""
     chosen, starts = list[int](), list[int]()
     left = np.argsort(ends.value)
     left = left[np.isfinite(ends.value[left])]
@@ -224,7 +223,7 @@ def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
 
 
 def _collect_ends(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> list[Maximum]:
-    """Return the list of maxima at scaled points (n, ndim) of finite log-probability, with their `starts` (n,)."""
+    """Return the maxima at scaled points u (n, ndim) with finite log-probability; `starts` (n,) counts ascents."""
     theta = scaled.to_theta(u)
     values = scaled.density.log_prob(theta)
     return [Maximum(x, float(v), int(n)) for x, v, n in zip(theta, values, starts, strict=True) if np.isfinite(v)]
@@ -238,7 +237,7 @@ def _is_same(problem: Posterior, one: Maximum, other: Maximum) -> bool:
 
 
 def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the tuple of distinct maxima, the highest first; the starts of equal maxima are added up."""
+    """Return the distinct maxima, the highest first, adding up the ascent counts of equal ones."""
     distinct: list[Maximum] = []
     for maximum in sorted(maxima, key=lambda m: -m.log_prob):
         for i, known in enumerate(distinct):
@@ -251,7 +250,7 @@ def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]
 
 
 def _distinct(problem: Posterior, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the tuple of distinct maxima with a finite log-probability, the highest first."""
+    """Return the distinct maxima with a finite log-probability, the highest first."""
     return _merge(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
 

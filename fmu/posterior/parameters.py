@@ -27,12 +27,11 @@ class Parameter:
     Attributes
     ----------
     name : str
-        For the names that are allowed see `require_name`.
+        See `require_name` for the names that are allowed.
     start : float
         Value in the model before updating, in `unit`.
     lower, upper : float
-        Bounds, which truncate the prior. A bound outside the support of the prior is moved to the end of the
-        support.
+        Bounds, which truncate the prior. A bound outside the prior's support is moved to the end of the support.
     prior : Prior
         `Uniform` by default, which needs finite bounds.
     unit : str
@@ -40,14 +39,13 @@ class Parameter:
     group : str
         Name of a group whose parameters may share one α in eq. (6); see `share_alpha`.
     updated : bool
-        False for a parameter that keeps the value `start` and is not inferred. It may scatter over the modes
-        (`fmu.Discrepancy`), if it is wrong and the data cannot say by how much. Its bounds and prior only tell
-        where a reduced model must be accurate.
+        False for a parameter that keeps the value `start` and is not inferred. It may still scatter over the modes
+        (`fmu.Discrepancy`). Its bounds and prior then only define where a reduced model must be accurate.
 
     Raises
     ------
     ValueError
-        If the name is not allowed, or the bounds, the start and the prior are inconsistent.
+        If the name is not allowed, or the bounds, the starting value and the prior are inconsistent.
     """
 
     name: str
@@ -102,22 +100,22 @@ class Parameter:
 
 
 def parameter_in(given: object) -> Parameter | None:
-    """Return a setting that is inferred, as a parameter; None for a value that is known."""
+    """Return the setting if it is a parameter to be inferred, or None if it is a known value."""
     return given if isinstance(given, Parameter) else None
 
 
 def value_and_parameter(given: float | Parameter) -> tuple[float, Parameter | None]:
-    """Return the value of a setting, and None; or, if it is inferred, the start of its parameter, and that."""
+    """Return a known setting and None, or the starting value of an inferred setting and its parameter."""
     return (given.start, given) if isinstance(given, Parameter) else (float(given), None)
 
 
 def value_or_name(given: Any) -> Plain:
-    """Return a setting as it is or, if it is inferred, the name of its parameter."""
+    """Return a known setting unchanged, or the parameter name of an inferred setting."""
     return given.name if isinstance(given, Parameter) else given
 
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
-    """Return the name and arguments of a prior as text, in the customary unit, such as ``"normal, sd 200"``."""
+    """Return a prior's name and arguments as text, in the customary unit, such as ``"normal, sd 200"``."""
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
     parts = [
         f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
@@ -129,7 +127,7 @@ def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
 def require_name(name: str, key: str = "name") -> None:
     """Raise ValueError for a name that a trace cannot store or that is not legible.
 
-    Spaces, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are allowed.
+    Spaces inside the name, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are allowed.
     """
     if not name or "/" in name:
         rule = "must not be empty or contain '/'"
@@ -143,13 +141,13 @@ def require_name(name: str, key: str = "name") -> None:
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters with a Gaussian prior for each named group, with the α of eq. (6).
+    """Return the parameters, with a Gaussian prior with the α of eq. (6) for each named group.
 
     Parameters
     ----------
     parameters : sequence of Parameter
     alpha : mapping of group name to float
-        α = 1/σ² in the parameters' units. Parameters of groups that are not named keep their prior.
+        α = 1/σ² in the parameters' units. Parameters in other groups keep their prior.
 
     Raises
     ------

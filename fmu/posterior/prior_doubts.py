@@ -1,4 +1,4 @@
-"""A check for priors that are inconsistent with their bounds, as when a mean is missing or a unit is wrong."""
+"""Check for priors that contradict their bounds, as when a mean is missing or a unit is wrong."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _FLAT = 0.1
 
 
 class Fit(NamedTuple):
-    """The position of a prior relative to its bounds, in the parameter's unit.
+    """Position of a prior relative to its bounds, in the parameter's unit.
 
     Attributes
     ----------
     mass : float
-        Probability of the prior between the bounds.
+        Prior probability between the bounds.
     centre, sd : float
         Median of the prior before truncation, and half its central 68 % interval.
     outside : float
@@ -48,7 +48,7 @@ class Fit(NamedTuple):
 
 
 def fit_to_bounds(parameter: Parameter) -> Fit | None:
-    """Return the position of a prior relative to its bounds; None for a prior defined only between bounds."""
+    """Return a prior's position relative to its bounds, or None for a prior defined only between bounds."""
     prior, lower, upper = parameter.prior, parameter.lower, parameter.upper
     if prior.needs_bounds:
         return None
@@ -65,7 +65,7 @@ def fit_to_bounds(parameter: Parameter) -> Fit | None:
 
 
 def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
-    """Return the list of messages on priors that are inconsistent with their bounds, with a remedy for each.
+    """Return messages about priors that contradict their bounds, with a remedy for each.
 
     A prior is reported if less than 5 % of its probability lies between the bounds, if its centre lies more than
     one of its standard deviations outside the bounds, or if it is so narrow that the data have no influence.
@@ -74,7 +74,7 @@ def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
 
 
 def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return the list of sentences on priors centred outside their bounds, with the probability within the bounds.
+    """Return sentences about priors centred outside their bounds, with the probability within the bounds.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _alike(parameters: Iterable[Parameter]) -> list[tuple[list[str], Parameter]]:
-    """Return the list of groups of parameters with equal prior and bounds: the names, and the first parameter."""
+    """Group parameters that have equal priors and bounds; return each group's names and first parameter."""
     groups: dict[str, tuple[list[str], Parameter]] = {}
     for one in parameters:
         key = str((one.prior.as_dict(), one.lower, one.upper, one.unit))

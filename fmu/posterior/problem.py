@@ -35,25 +35,25 @@ _LEAST_NOISE = 1e-150
 
 
 class UpdatingProblem(Posterior):
-    """The posterior of eq. (8): a model, a measurement and the priors of the parameters.
+    """The posterior of eq. (8): a model, a measurement and the parameters' priors.
 
     This class solves the full model; `reduced` makes the same problem with a reduced model, which is much faster.
 
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure, a function of the user, or any map from theta to the frequencies of the measured modes. With
+        The structure, a user's function, or any map from theta to the frequencies of the measured modes. With
         several tests (`fmu.JointProblem`) it maps the parameters in all tests to the modes measured in all tests.
     data : ModalData
     parameters : sequence of Parameter
-        Parameters of the model, in the order of theta, which has those that are updated. The standard deviations
-        that `error` infers follow them.
+        Parameters of the model. theta has those that are updated, in this order, followed by the standard
+        deviations that `error` infers.
     pairing : {"shape", "index", "soft"}
-        How the modes of a SeparableModel are paired with the measured modes (`fmu.fem.pairing.rules`): by MAC with
-        the measured shapes or, without them, with the modes of the model before updating; or by number in the
-        sorted spectrum. ``"soft"``: each measured mode is compared with all candidate modes, with weights
-        exp(MAC/τ), so that the log-probability does not jump where modes veer; see `fmu.posterior.errors.mixture`
-        for the limits of this pairing.
+        How the modes of a SeparableModel are paired with the measured modes (`fmu.fem.pairing.rules`).
+        ``"shape"``: by MAC with the measured shapes or, without them, with the model's modes before updating.
+        ``"index"``: by number in the sorted spectrum. ``"soft"``: each measured mode is compared with all
+        candidate modes, with weights exp(MAC/τ), so that the log-probability does not jump where modes veer; see
+        `fmu.posterior.errors.mixture` for the limits of this pairing.
     softness : float
         The temperature τ of the weights, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional
@@ -66,12 +66,13 @@ class UpdatingProblem(Posterior):
         Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
         `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors`.
         If only masses or displacements are given, the frequencies keep their default errors. If only frequency
-        response functions are given, the modes are paired and begin the search for maxima, but are no data.
+        response functions are given, the modes are paired and begin the search for maxima, but do not count as
+        data.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
-        Errors of the model itself, beside the errors of the measurement.
+        Model discrepancy, in addition to measurement errors.
     name : str
     layout : Layout, optional
-        The map from theta to the parameters of the structure in each of several tests; the identity by default.
+        The map from theta to the structural parameters in each of several tests; the identity by default.
 
     Attributes
     ----------
@@ -89,12 +90,12 @@ class UpdatingProblem(Posterior):
     roles : tuple of Role
         The role of each parameter of theta.
     tolerance : Tolerance or None
-        Errors that the reduced model may have; None if there is no reduced model; see `reduced`.
+        Errors allowed in the reduced model; None if there is no reduced model; see `reduced`.
     failures : list of Failure
         ``(theta, reason)`` for the first ten thousand theta inside the bounds at which the solve failed or the
         log-likelihood was not finite.
     n_failures : int
-        Number of all such evaluations.
+        Number of all failed evaluations.
     is_hierarchical : bool
         Whether the distribution of some parameters is itself inferred (`fmu.Population`). The maximum of such a
         posterior lies far from most of its probability.
@@ -103,12 +104,12 @@ class UpdatingProblem(Posterior):
     ------
     ValueError
         If the model does not fit the parameters or the data, two parameters share a name, or the rounding errors
-        of the matrices exceed the errors of the measurement (`fmu.posterior.rounding`).
+        of the matrices exceed the measurement errors (`fmu.posterior.rounding`).
 
     Warns
     -----
     RoundingWarning
-        If the rounding errors are not negligible beside the errors of the measurement.
+        If the rounding errors are not negligible compared with the measurement errors.
 
     Notes
     -----
@@ -175,18 +176,18 @@ class UpdatingProblem(Posterior):
     ) -> UpdatingProblem:
         """Return a problem in which a certified reduced model replaces a SeparableModel inside the bounds.
 
-        The reduced model is trained here, or read from the cache (`fmu.posterior.reduction.train_reduced`). A
-        model that is not a SeparableModel is kept.
+        The reduced model is trained here, or read from the cache (`fmu.posterior.reduction.train_reduced`). Any
+        other model is used unchanged.
 
         Parameters
         ----------
         *args, **options
             The arguments of `UpdatingProblem`.
         reduction : bool or float
-            Largest relative error of the reduced model's frequencies, above 0 and at most 0.01; True means 1e-6,
-            or as much as the errors of the measurement allow for 20 000 degrees of freedom or more. The largest
-            error of the log-probability follows from this value
-            (`fmu.posterior.reduction.tolerance.Tolerance.of`). False keeps the full model.
+            Largest relative frequency error of the reduced model, above 0 and at most 0.01; True means 1e-6, or as
+            much as the measurement errors allow for 20 000 degrees of freedom or more. The largest log-probability
+            error follows from this value (`fmu.posterior.reduction.tolerance.Tolerance.of`). False selects the
+            full model.
         engine : Engine, optional
             The engine whose workers train the reduced model (see `fmu.engine`); the result is identical to the
             last bit. The problem keeps no reference to the engine.
@@ -222,7 +223,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
-        """Return the same problem updated with the named modes only; the model, reduced or not, is shared.
+        """Return the same problem updated with the named modes only; it shares the model, reduced or not.
 
         Parameters
         ----------
@@ -232,7 +233,7 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            If there is no mode of a given name, or no mode is named.
+            If a name is unknown, or no mode is named.
         """
         unknown = [name for name in labels if name not in self.data.labels]
         if unknown:
@@ -247,7 +248,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def coarser(self, share: Annotated[float, Interval(gt=0, le=1)]) -> UpdatingProblem:
-        """Return the same problem with only a share of the vectors of the reduced basis, if there is one.
+        """Return the same problem with only a share of the reduced basis vectors, if there is a reduced model.
 
         A solve then takes less time and is less accurate, which is enough for approximations such as proposals.
         """
@@ -268,11 +269,11 @@ class UpdatingProblem(Posterior):
     def walkers(self, n: int, seed: int = 1) -> FloatArray:
         """Return starting points for the walkers of an ensemble sampler such as emcee, shape (n, ndim), SI units.
 
-        The points are spread over the maxima of the posterior in proportion to the probability of each maximum.
-        Around each maximum they are twice as wide as the posterior, within the bounds and where the
-        log-probability is finite (`fmu.analysis.maxima.starts.starts_at_maxima`). For a hierarchical posterior
-        they lie around its middle instead. The maxima are searched for once (`fmu.find_map`). A different seed
-        gives different points, for another ensemble.
+        The points are distributed over the posterior's maxima in proportion to each maximum's probability. Around
+        each maximum they are twice as wide as the posterior, within the bounds and where the log-probability is
+        finite (`fmu.analysis.maxima.starts.starts_at_maxima`). For a hierarchical posterior they surround its
+        typical point instead. The maxima are searched for once (`fmu.find_map`). A different seed gives different
+        points, for another ensemble.
 
         Parameters
         ----------
@@ -296,22 +297,23 @@ class UpdatingProblem(Posterior):
         theta: FloatArray | None = None,
         same_structure: bool = False,
     ) -> FloatArray:
-        """Return computed frequencies with measurement noise added, Hz, shape (n, n_modes).
+        """Return computed frequencies with simulated measurement errors added, in Hz, shape (n, n_modes).
 
         Parameters
         ----------
         rng : Generator
         frequencies : ndarray, shape (n, n_modes), Hz
+            Computed frequencies.
         theta : ndarray, shape (n, ndim), optional
-            Supplies the inferred standard deviations, if there are any.
+            Supplies the inferred error sds, if there are any.
         same_structure : bool
-            Whether a discrepancy is that of the structure that was measured, as far as the data show it, or of a
-            structure like it.
+            True to draw the model discrepancy of the measured structure, given the data; False to draw it for a
+            similar structure.
 
         Raises
         ------
         ValueError
-            If the error models define no distribution of the frequencies (shapes alone, the modal residual).
+            If the error models define no frequency distribution (shapes alone, the modal residual).
         """
         frequencies = self._with_discrepancy(rng, frequencies, theta, same_structure)
         return self.likelihood.simulate(rng, frequencies, self._noise(theta))
@@ -319,7 +321,7 @@ class UpdatingProblem(Posterior):
     def simulate_test(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return simulated frequencies of one more test, Hz, shape (n, n_modes), for computed `frequencies`.
+        """Return simulated frequencies of one further test, in Hz, shape (n, n_modes), for computed `frequencies`.
 
         `simulate_data` simulates the data, which are the mean of n tests. A single test scatters √n times as much
         (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are the same as in `simulate_data`.
@@ -327,7 +329,7 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            If the data are not the mean of tests.
+            If the data are not the mean of several tests.
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")

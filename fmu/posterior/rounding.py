@@ -1,8 +1,8 @@
-"""A check that rounding errors of the matrices are smaller than the errors of the measurement.
+"""Check that rounding errors in the matrices are smaller than the measurement errors.
 
 An entry of K is rounded to one part in 10¹⁶. If stiff parts hardly strain, such as a rigid link, or a spring of
 1e16 N/m beside springs of 1e5 N/m, their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
-large numbers. The error of the eigenvalue λ is then
+large numbers. The error in the eigenvalue λ is then
 
     δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,
 
@@ -49,23 +49,23 @@ _SOLVED: WeakKeyDictionary[PairedStructure, tuple[FloatArray, FloatArray, ModalS
 
 
 class RoundingWarning(UserWarning):
-    """A warning that rounding errors of the matrices are not negligible beside the errors of the measurement."""
+    """Warns that rounding errors in the matrices are not negligible compared with the measurement errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """The rounding errors of the frequencies at the start.
+    """Expected rounding errors of the frequencies at the starting point.
 
     Attributes
     ----------
     relative : ndarray, shape (n_modes,)
         Expected relative error of each frequency.
     of_sd : ndarray, shape (n_modes,)
-        Expected error of each frequency in standard deviations of its measurement.
+        Expected error of each frequency in measurement standard deviations.
     mode : str
         Label of the measured mode with the largest `of_sd`.
     where : str
-        The degree of freedom that contributes most to the error of that mode.
+        The degree of freedom that contributes most to that mode's error.
     stiffness : float
         Diagonal entry of K at that degree of freedom, SI units.
     """
@@ -89,14 +89,15 @@ class Rounding:
 
 
 def rounding(problem: Posterior) -> Rounding | None:
-    """Return the rounding errors of a problem's frequencies at the start.
+    """Return the frequencies' rounding errors at the problem's starting point.
 
-    Return None if the model has no matrices, or the likelihood is not one of computed modes.
+    Return None if the model has no matrices, or the likelihood does not use computed modes.
 
     Raises
     ------
     ValueError
-        If the solve at the start fails, or the stiffness of a soft part is lost in rounding beside a stiff one.
+        If the solve at the starting point fails, or a soft part's stiffness is lost in rounding beside a stiff
+        one.
     """
     model, likelihood = structure_of(problem.model), problem.likelihood
     if model is None or not likelihood.of_modes:
@@ -130,7 +131,7 @@ def rounding(problem: Posterior) -> Rounding | None:
 
 
 def bounded_rounding(problem: Posterior) -> Rounding | None:
-    """Return the `rounding` of a problem; ValueError if a rounding error exceeds the error of the measurement."""
+    """Return the `rounding` of a problem; raise ValueError if a rounding error exceeds the measurement error."""
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
@@ -138,14 +139,14 @@ def bounded_rounding(problem: Posterior) -> Rounding | None:
 
 
 def require_digits(problem: Posterior) -> None:
-    """Raise ValueError if rounding errors exceed the errors of the measurement; warn if they are not negligible.
+    """Raise ValueError if rounding errors exceed the measurement errors; warn if they are not negligible.
 
-    Also raise ValueError if the model is a structure and the log-probability at the start is not finite.
+    Also raise ValueError if the model is a structure and the log-probability at the starting point is not finite.
 
     Warns
     -----
     RoundingWarning
-        If an expected rounding error exceeds 5 % of the standard deviation of the measurement.
+        If an expected rounding error exceeds 5 % of the measurement standard deviation.
     """
     if any(map(structure_of, problem.model.parts)) and not np.isfinite(problem.log_prob(problem.start)):
         raise ValueError(_without_density(problem))
@@ -159,14 +160,14 @@ def require_digits(problem: Posterior) -> None:
 
 
 def _without_density(problem: Posterior) -> str:
-    """Return the message that explains why the log-probability at the start is not finite."""
+    """Return the message that explains why the log-probability at the starting point is not finite."""
     point = problem.layout.of_model(problem.start[None])[0]
     why = problem.likelihood.why_not_finite(point) or "the modes at the start cannot be computed"
     return f"start: must have a finite log-probability (got -inf: {why}); correct the model, or the start"
 
 
 def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:
-    """Raise ValueError if a mode treated as a rigid-body mode strains a term of K, or if K is not semidefinite.
+    """Raise ValueError if an apparent rigid-body mode strains a stiffness term, or if K is not semidefinite.
 
     A λ that is tiny relative to `top` is treated as zero, and pairing ignores the mode. This is wrong if a term of
     K has strain energy in the mode: then the term was lost, or nearly lost, in rounding of the sum.
@@ -190,7 +191,7 @@ def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: Flo
 
 
 def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
-    """Return the message on a soft part whose stiffness at a degree of freedom is lost in rounding."""
+    """Return the error message about a soft part whose stiffness at `dof` is lost in rounding."""
     node, direction = model.structure.dofs[dof]
     return (
         "rounding: stiffnesses of neighbours must differ by less than 1e14, and no mode may be below 3e-5 of the "
@@ -201,7 +202,7 @@ def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
 
 
 def _negative(problem: Posterior, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
-    """Return the message on the term, or the rounding, that makes K negative for a displacement (n_dof,)."""
+    """Return the error message about the term, or the rounding, that makes K negative for `motion` (n_dof,)."""
     terms = model.structure.K_terms
     weights = coefficients(terms, theta[None])[0]
     energy = [c * (motion @ (t.matrix @ motion)) for c, t in zip(weights, terms, strict=True)]
@@ -230,7 +231,7 @@ def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
 
 
 def _highest_of_reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
-    """Return the highest eigenvalue of the reduced block of each mode, (n_modes,); 0 if there is no such block."""
+    """Return the highest eigenvalue of each mode's reduced block, (n_modes,), or 0 for a mode without one."""
     reduced = reduced_in(model)
     if reduced is None:
         return np.zeros(len(owners))

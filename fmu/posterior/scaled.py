@@ -19,15 +19,14 @@ FARTHEST = 40.0
 class ScaledDensity:
     """A log-density in the coordinates u = (theta − offset)/scale, in which metrics and widths are of order one.
 
-    By default, coordinates with two finite bounds lie between 0 and 1. Values are those of the density of theta,
-    without the Jacobian, which is constant for an affine map.
+    By default, coordinates with two finite bounds lie between 0 and 1. The values are the density of theta without
+    the Jacobian, which is constant for an affine map.
 
     Parameters
     ----------
     density : LogDensity
-        A density whose attributes `offset` and `scale`, shape (ndim,), are used if they exist. Otherwise a
-        coordinate between two finite bounds is scaled to lie between 0 and 1; other coordinates have the offset 0
-        and the scale 1.
+        Its attributes `offset` and `scale`, shape (ndim,), are used if they exist. Otherwise a coordinate between
+        two finite bounds is scaled to lie between 0 and 1; other coordinates have offset 0 and scale 1.
 
     Raises
     ------
@@ -61,7 +60,7 @@ class ScaledDensity:
         self.upper = self.to_scaled(self.theta_upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return the scaled coordinates u, shape (..., ndim), for theta of this shape."""
+        """Return the scaled coordinates u of theta, with the same shape (..., ndim)."""
         return (theta - self.offset) / self.scale
 
     def to_theta(self, u: FloatArray) -> FloatArray:
@@ -69,7 +68,7 @@ class ScaledDensity:
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives ∂θ/∂u, here the constant `scale` (ndim,); (n, ndim) if they depend on theta."""
+        """Return the derivatives ∂θ/∂u: here the constant `scale` (ndim,); (n, ndim) if they depend on theta."""
         return self.scale
 
     def log_prob(self, u: Any) -> Any:
@@ -92,13 +91,13 @@ class ScaledDensity:
 class LogScaledDensity(ScaledDensity):
     """A log-density in coordinates for ascents: u = (log θ − mean)/sd if a log-normal prior is wider than `wide`.
 
-    Other coordinates are scaled as in `ScaledDensity`. The density is that of θ, without a Jacobian, so that its
-    maxima are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is so wide, all
-    values equal those of `ScaledDensity` to the last bit.
+    Other coordinates are scaled as in `ScaledDensity`. The density is in θ, without a Jacobian, so that its maxima
+    are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is this wide, all values
+    equal those of `ScaledDensity` to the last bit.
 
     In θ, an ascent that has moved far out does not return: a nearly rigid spring has no influence on the modes,
-    and the slope of the log-density decreases as 1/θ. In log θ the log-density of the prior is a parabola, whose
-    slope leads back.
+    and the slope of the log-density decreases as 1/θ. In log θ the log-prior is a parabola, whose slope leads
+    back.
 
     Attributes
     ----------
@@ -117,7 +116,7 @@ class LogScaledDensity(ScaledDensity):
         self.upper = np.where(self.is_log, np.minimum(self.upper, FARTHEST), self.upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return the scaled coordinates u, shape (..., ndim), for theta of this shape."""
+        """Return the scaled coordinates u of theta, with the same shape (..., ndim)."""
         with np.errstate(divide="ignore"):  # at the bound 0
             logs = (np.log(np.where(self.is_log, theta, 1.0)) - self._mean) / self._sd
         return np.where(self.is_log, logs, super().to_scaled(theta))
@@ -135,14 +134,14 @@ class LogScaledDensity(ScaledDensity):
 
 
 def scaled_density(density: LogDensity) -> ScaledDensity:
-    """Return the scaled view of a density; the density itself if it is one."""
+    """Return a density in scaled coordinates, or the density itself if it is already scaled."""
     return density if isinstance(density, ScaledDensity) else ScaledDensity(density)
 
 
 class LogarithmicDensity:
-    """The posterior of the coordinates u of `LogScaledDensity`, with their Jacobian, for samplers.
+    """The posterior in the coordinates u of `LogScaledDensity`, with their Jacobian, for samplers.
 
-    A density of θ with a log-normal prior is skewed, and the density of log θ nearly Gaussian.
+    With a log-normal prior the density of θ is skewed, whereas the density of log θ is nearly Gaussian.
 
     Parameters
     ----------
@@ -171,15 +170,15 @@ class LogarithmicDensity:
 
 
 def clip_to_support(scaled: ScaledDensity, problem: Posterior) -> ScaledDensity:
-    """Make theta of a scaled posterior stay where the prior has a density; return the scaled posterior."""
+    """Limit theta in `scaled` to values with positive prior density; change `scaled` in place and return it."""
     scaled.theta_lower, scaled.theta_upper = problem.support
     return scaled
 
 
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
-    """Return the scaled density for ascents, in logarithms of the parameters whose priors span decades.
+    """Return the scaled density for ascents, with logarithms of the parameters whose priors span decades.
 
-    At a bound where the density vanishes, such as a standard deviation of 0, theta is the next value that has one.
+    At a bound where the density vanishes, such as a standard deviation of 0, theta is the next float inside.
     """
     with_logs = LogScaledDensity(problem)
     scaled = with_logs if with_logs.is_log.any() else ScaledDensity(problem)

@@ -1,4 +1,4 @@
-"""Errors of a wrong model, in addition to the errors of the measurement.
+"""Model discrepancy: errors of a wrong model, in addition to measurement errors.
 
-Reading order: embedded, modes, latent, model_errors, likelihood; curvature, draws and frequencies serve the last.
+Reading order: embedded, modes, latent, model_errors, likelihood. The last uses curvature, draws and frequencies.
 """

@@ -1,6 +1,6 @@
-"""Derivatives, with respect to the parameters, of functions of the slopes of the modes.
+"""Derivatives, with respect to the parameters, of functions that depend on frequency and shape derivatives.
 
-They are exact if the model has second derivatives, and otherwise differences of slopes.
+They are exact if the model has second derivatives; otherwise they are finite differences.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ def by_second_derivatives(
     noise: FloatArray,
     by_slope: FloatArray,
 ) -> FloatArray:
-    """Return the derivatives of a function of the slopes of the residuals, (n, m, p).
+    """Return the parameter derivatives (n, m, p) of a function of the residuals' slopes, from second derivatives.
 
-    For each mode one weighted sum of second derivatives is needed; `exact` computes it.
+    Each mode needs one weighted sum of second derivatives, which `exact` computes.
 
     Parameters
     ----------
     terms : sequence of ErrorTerm
     seen : ModalPrediction
-        With slopes.
+        Predicted modes with their derivatives.
     exact : Sensitivities
         Sensitivities of the same modes.
     noise : ndarray, shape (n, n_noise)
+        Inferred error sds.
     by_slope : ndarray, shape (n, m, k, p)
         Derivatives of the function with respect to the slopes of all k residuals of a mode, one error model after
         the other.
@@ -69,9 +70,9 @@ def by_parameters(
     function : callable
         Returns the functions, (n, k, m), at values (n, k, n_tests, p): k points for each of the n.
     values : ndarray, shape (n, n_tests, p)
-        The parameters of the structure in every test.
+        The structural parameters in every test.
     scale : ndarray, shape (n, n_tests, p)
-        Sizes of the parameters.
+        Magnitudes of the parameters, which set the step sizes.
     bounds : ndarray, shape (2, n_tests, p)
         Limits of the values, beyond which a reduced model is not trained.
     test : ndarray of int, shape (m,)

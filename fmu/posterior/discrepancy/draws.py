@@ -1,4 +1,4 @@
-"""Quantities at the draws of a run, computed once for equal draws: a rejected step repeats the last draw."""
+"""Evaluate quantities at posterior draws, once for equal draws: a rejected step repeats the last draw."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fmu.types import FloatArray, IntArray
 
 
 def distinct_rows(theta: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the distinct rows of theta, (n, ndim), and the index among them of each row, (n,)."""
+    """Return the distinct rows of theta (n, ndim), and each row's index among them, shape (n,)."""
     distinct, index = np.unique(theta, axis=0, return_inverse=True)
     return distinct, index.reshape(-1)
 
@@ -19,7 +19,7 @@ def distinct_rows(theta: FloatArray) -> tuple[FloatArray, IntArray]:
 def at_distinct_rows(
     function: Callable[[FloatArray], Sequence[FloatArray]], theta: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Return the arrays that a function gives at theta, (n, ndim), by calling it once with the distinct rows.
+    """Return the arrays that a function gives at theta (n, ndim), after one call with the distinct rows only.
 
     Parameters
     ----------

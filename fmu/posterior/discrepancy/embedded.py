@@ -1,6 +1,6 @@
-"""Scatter of the parameters over the modes: each mode sees parameters of its own.
+"""Embedded model discrepancy: the parameters scatter over the modes, so that each mode has its own values.
 
-No parameter values of a wrong model fit all modes. Let mode i see the parameters θ_k + s_k τ_k z_ik with
+No parameter values of a wrong model fit all modes. Let mode i have the parameters θ_k + s_k τ_k z_ik with
 independent standard normal z_ik, where s_k is |θ_k| (relative scatter) or a constant (absolute scatter). To first
 order, the frequencies then have independent Gaussian errors, in addition to measurement errors, with the variances
 
@@ -33,17 +33,17 @@ _START, _MOST_CORRELATED = 0.3, 0.999
 
 
 class Setting(NamedTuple):
-    """A known number, or the index of an inferred one among the inferred standard deviations."""
+    """A setting that is either a known number or inferred; if inferred, its index among the inferred error sds."""
 
     fixed: float
     number: int = -1
 
     def at(self, noise: FloatArray) -> FloatArray:
-        """Return the values (n,) for inferred standard deviations (n, n_noise)."""
+        """Return the setting's values, shape (n,), for the inferred error sds `noise` (n, n_noise)."""
         return noise[:, self.number] if self.number >= 0 else np.full(len(noise), self.fixed)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict in plain Python types."""
+        """Return the setting as a dict of plain Python types."""
         return {"known": self.fixed, "inferred": self.number}
 
 
@@ -54,54 +54,54 @@ INDEPENDENT = Setting(0.0)
 @check_arguments
 @dataclass(frozen=True)
 class Discrepancy:
-    """Error of the model itself, which no parameter values remove.
+    """Model discrepancy: a model error that no parameter values remove.
 
     With `kind` = "embedded" the parameters scatter from mode to mode (`fmu.posterior.discrepancy.embedded`), and
-    errors grow with the sensitivity to the parameters. With `kind` = "modes" the predicted frequencies and shapes
-    have errors of their own, which do not depend on the parameters (`fmu.posterior.discrepancy.modes`). All
-    predictive intervals include these errors. They are the same in all tests of a structure. Frequency response
-    functions of one test take the kind "modes" with `sd` and `correlation` (`fmu.posterior.frf.scattered`).
+    the error grows with the sensitivity to the parameters. With `kind` = "modes" the predicted frequencies and
+    shapes have their own errors, which do not depend on the parameters (`fmu.posterior.discrepancy.modes`). All
+    predictive intervals include the discrepancy. It is the same in all tests of a structure. Frequency response
+    functions from one test accept the kind "modes" with `sd` and `correlation` (`fmu.posterior.frf.scattered`).
 
     Attributes
     ----------
     kind : {"embedded", "modes"}
     tau : float, optional
-        For "embedded". The scatter τ: relative for parameters that are never 0 between their bounds, else in units
-        of the absolute value of the start, or of the prior's scale if the parameter starts at 0. It is inferred if
-        not given.
+        For "embedded". The scatter τ, relative for parameters that are never 0 between their bounds. For other
+        parameters it is in units of the starting point's absolute value, or of the prior's scale if the parameter
+        starts at 0. It is inferred if not given.
     prior_sd : float
         Standard deviation of the half-normal priors of inferred τ, `sd` and `shape_sd`.
     by : {"common", "group"}
         For "embedded". Whether all parameters have the same τ, or each group has its own. A parameter without a
-        group is a group of its own.
+        group counts as its own group.
     groups : tuple of str
-        For "embedded". Names of the groups, or of parameters, that scatter; all if empty.
+        For "embedded". Names of the groups or parameters that scatter; all scatter if empty.
     sd : float, optional
-        For "modes". Standard deviation of the relative errors of the frequencies; inferred if not given.
+        For "modes". Standard deviation of the relative frequency errors; inferred if not given.
     correlation : float or "inferred", optional
-        Correlation over the modes: with "modes" of the errors of two frequencies, from 0 to below 1, inferred if
-        not given; with "embedded" of the scatter of each parameter in two modes, from 0 to 1, and 0 if not given.
-        An inferred one has a uniform prior.
+        Correlation between modes. For "modes", the correlation between the errors of two frequencies, at least 0
+        and less than 1; inferred if not given. For "embedded", the correlation between each parameter's values in
+        two modes, from 0 to 1; 0 if not given. An inferred correlation has a uniform prior.
     shape_sd : float, optional
-        For "modes". Standard deviation of the errors of a component of a shape whose largest component is 1, or of
-        a residue of a frequency response function relative to the root mean square of those of all functions;
-        inferred if not given.
+        For "modes". Standard deviation of the errors in mode shape components, where the largest component is 1.
+        For frequency response functions, standard deviation of the residue errors, relative to the root mean
+        square of all residues. Inferred if not given.
     length : float, optional
-        For "modes". Distance in m over which the correlation of the errors at two sensors of the same direction
-        falls to 1/e. Without it, or without coordinates of the sensors in the model, errors are independent.
+        For "modes". Distance in m over which the error correlation between two sensors with the same direction
+        falls to 1/e. Errors are independent if it is not given or the model has no sensor coordinates.
     name : str, optional
-        Name of the inferred τ or σ, "tau" or "model error" by default. With `by` = "group" the name of the group
-        follows, and the word "correlation" or "shapes" where one is inferred.
+        Name of the inferred τ or σ, "tau" or "model error" by default. With `by` = "group" the group name follows;
+        the word "correlation" or "shapes" follows if one of these is inferred.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, the name is not allowed, or a setting is of the other kind.
+        If a number is out of its range, the name is not allowed, or a setting belongs to the other kind.
 
     Notes
     -----
-    The variances are exact to first order in τ: at τ = 0.3 and more they are rough. If the data do not outnumber
-    the parameters, τ keeps its prior.
+    The variances are exact to first order in τ; at τ = 0.3 and more they are rough. If the parameters outnumber
+    the data, τ keeps its prior.
     """
 
     kind: Literal["embedded", "modes"] = "embedded"
@@ -146,7 +146,7 @@ class Discrepancy:
         ----------
         parameters : sequence of Parameter
         index : callable
-            Takes the Parameter of an inferred τ and returns its index among the inferred standard deviations.
+            Takes an inferred τ as a Parameter and returns its index among the inferred error sds.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class Discrepancy:
         return EmbeddedScatter(tuple(p.name for p in parameters), relative, size, fixed, number, correlation)
 
     def correlation_over_modes(self, index: NoiseIndex) -> Setting:
-        """Return the correlation; `index` is as in `bind`."""
+        """Return the correlation between modes as a `Setting`; `index` is as in `bind`."""
         known = 0.0 if self.correlation is None and self.kind == "embedded" else self.correlation
         if isinstance(known, float | int):
             return Setting(float(known))
@@ -182,14 +182,14 @@ class Discrepancy:
 
 
 def require_distinct_names(discrepancies: Sequence[Discrepancy]) -> None:
-    """Raise ValueError if two discrepancies have inferred numbers of the same name."""
+    """Raise ValueError if two discrepancies have inferred numbers with the same name."""
     names = [one.label for one in discrepancies if one.tau is None or one.correlation == "inferred"]
     if len(set(names)) < len(names):
         raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])
 
 
 def _size(parameter: Parameter) -> float:
-    """Return the unit of the absolute scatter of a parameter."""
+    """Return the unit in which a parameter's absolute scatter is measured."""
     if parameter.start != 0.0:
         return abs(parameter.start)
     return float(parameter.prior.scale(parameter.lower, parameter.upper)[1])
@@ -197,22 +197,22 @@ def _size(parameter: Parameter) -> float:
 
 @dataclass(frozen=True, eq=False)
 class EmbeddedScatter:
-    """The scatter of p parameters over the modes.
+    """Scatter of p parameters over the modes.
 
     Attributes
     ----------
     names : tuple of str
         Names of the parameters.
     relative : ndarray of bool, shape (p,)
-        Whether the scatter is relative to the value of the parameter.
+        Whether the scatter is relative to the parameter's value.
     size : ndarray, shape (p,)
         Unit of an absolute scatter.
     fixed : ndarray, shape (p,)
         The known τ_k; 0 if a parameter does not scatter or its τ is inferred.
     number : ndarray of int, shape (p,)
-        Index of the inferred τ_k among the inferred standard deviations; −1 if it is not inferred.
+        Index of the inferred τ_k among the inferred error sds; −1 if it is not inferred.
     correlation : Setting
-        ρ.
+        Correlation ρ between modes.
     """
 
     names: tuple[str, ...]
@@ -224,28 +224,27 @@ class EmbeddedScatter:
 
     @classmethod
     def none(cls, p: int) -> EmbeddedScatter:
-        """Return an object for p parameters, none of which scatters."""
+        """Return a scatter object for p parameters of which none scatters."""
         return cls(("",) * p, np.zeros(p, dtype=bool), np.ones(p), np.zeros(p), np.full(p, -1))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        """Return the unit s_k of the scatter of each parameter at values (…, p), of the same shape."""
+        """Return the unit s_k of each parameter's scatter at values (…, p), with the same shape."""
         return np.where(self.relative, np.abs(values), self.size)
 
     @property
     def scatters(self) -> BoolArray:
-        """Whether each parameter scatters, shape (p,)."""
+        """Mask of the parameters that scatter, shape (p,)."""
         return np.asarray((self.fixed > 0.0) | (self.number >= 0))
 
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the variances of the scatter, relative to s², and their derivatives.
+        """Return the scatter variances, relative to s², and their derivatives.
 
         Returns
         -------
         own, common : ndarray, shape (n, p)
-            (1 − ρ) τ² of the part that differs from mode to mode, and ρ τ² of the part that all modes have in
-            common.
+            (1 − ρ) τ² for the part that differs from mode to mode, and ρ τ² for the part that all modes share.
         by_own, by_common : ndarray, shape (n, n_noise, p)
-            Derivatives with respect to the inferred standard deviations `noise`, (n, n_noise).
+            Derivatives with respect to the inferred error sds `noise`, (n, n_noise).
         """
         n, inferred = len(noise), np.flatnonzero(self.number >= 0)
         tau = np.broadcast_to(self.fixed, (n, len(self.fixed)))
@@ -264,7 +263,7 @@ class EmbeddedScatter:
         return tau**2 * (1.0 - rho), tau**2 * rho, own, common
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         of_modes = {} if self.correlation == INDEPENDENT else {"correlation": self.correlation.as_dict()}
         return {
             "kind": "embedded",

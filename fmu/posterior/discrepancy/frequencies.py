@@ -1,11 +1,11 @@
-"""The density of the frequencies of one test if the modes have no errors in common, computed without matrices.
+"""Frequency likelihood of one test when the modes share no errors, computed without matrices.
 
 If only frequencies have errors, in one test, a mode has one residual and its scatter is one number. The density
-of `fmu.posterior.discrepancy.latent` is then log N(ε_i; 0, V_i) with
+in `fmu.posterior.discrepancy.latent` is then log N(ε_i; 0, V_i) with
 
 V_i = σ_i² + (∂ε_i/∂f_i)² v_i,   v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
 
-It takes a third of the time at a single theta.
+At a single theta it takes a third of the time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fmu.types import FloatArray
 
 
 class ScatteredFrequencies:
-    """The density of independent Gaussian errors of frequencies with embedded scatter.
+    """Density of independent Gaussian frequency errors with embedded scatter.
 
     Parameters
     ----------
@@ -41,17 +41,18 @@ class ScatteredFrequencies:
         self._known = term.spread.fixed[None] ** 2 if term.is_known else None
 
     def terms(self, f: FloatArray, J: FloatArray, values: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return the log-densities of the modes, shape (n, n_modes).
+        """Return the log-density of each mode, shape (n, n_modes).
 
         Parameters
         ----------
         f : ndarray, shape (n, n_modes), Hz
+            Computed frequencies.
         J : ndarray, shape (n, n_modes, p)
-            Gradients of the frequencies with respect to the parameters of the structure.
+            Frequency gradients with respect to the structural parameters.
         values : ndarray, shape (n, p)
-            Parameters of the structure.
+            Structural parameters.
         noise : ndarray, shape (n, n_noise)
-            Inferred standard deviations and τ.
+            Inferred error sds and τ.
         """
         with np.errstate(all="ignore"):
             error, slope = self._term.errors(f)
@@ -109,5 +110,5 @@ class ScatteredFrequencies:
         return np.asarray(total)
 
     def _error_variances(self, noise: FloatArray) -> FloatArray:
-        """Return the variances σ² of the measurement, shape (n, n_modes)."""
+        """Return the measurement variances σ², shape (n, n_modes)."""
         return self._term.spread.variance(noise) if self._known is None else self._known

@@ -1,14 +1,14 @@
-"""Gaussian residuals that have errors in common: their joint density, its derivatives, and predictions.
+"""Gaussian residuals that share latent errors: their joint density, its derivatives, and predictions.
 
 Row i has the k residuals of a mode in a test,
 
 r_i = A_i z_g(i) + a_i w + e_i,
 
 with independent standard normal z_g (P numbers for each group g of rows), w (C numbers for all rows) and e_i (k
-numbers). These z and w are the latent errors, and A and a are their loadings. Groups are independent of each other
-given w. All matrices that are factorised have the size P, k or C, whatever the number of rows. With
-M_g = I + Σ_i A_iᵀA_i (Woodbury's identity), the quadratic form of X = (r, a) in a group is Σ_i X_iᵀX_i − BᵀM_g⁻¹B,
-B = Σ_i A_iᵀX_i. Then w is integrated out of the sum over the groups in the same way.
+numbers). z and w are the latent errors, and A and a are their loadings. Given w, groups are independent of each
+other. However many rows there are, all factorised matrices have size P, k or C. With M_g = I + Σ_i A_iᵀA_i
+(Woodbury's identity), the quadratic form of X = (r, a) in a group is Σ_i X_iᵀX_i − BᵀM_g⁻¹B, B = Σ_i A_iᵀX_i. Then
+w is integrated out of the sum over the groups in the same manner.
 """
 
 from __future__ import annotations
@@ -27,13 +27,16 @@ _MOST_SQUARES = 1e14
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a log-density of residuals with respect to the residuals and the loadings.
+    """Derivatives of a residual log-density with respect to the residuals and the latent errors' loadings.
 
     Attributes
     ----------
     by_residual : ndarray, shape (n, m, k)
+        With respect to the residuals.
     by_loads : ndarray, shape (n, m, k, P)
+        With respect to the loadings A of a group's errors.
     by_common : ndarray, shape (n, m, k, C)
+        With respect to the loadings a of the common errors.
     """
 
     by_residual: FloatArray
@@ -42,12 +45,12 @@ class Slopes(NamedTuple):
 
 
 class _Groups(NamedTuple):
-    """Sums over the rows of a group up to row i, for X = (r, a) after the group's own z is integrated out.
+    """Cumulative sums over a group's rows up to row i, for X = (r, a) after the group's own z is integrated out.
 
     Attributes
     ----------
     quadratic : ndarray, shape (n, m, 1 + C, 1 + C)
-        XᵀS⁻¹X with the covariance S of these rows given w.
+        XᵀS⁻¹X, where S is the covariance of these rows given w.
     log_det : ndarray, shape (n, m)
         log det S.
     mean : ndarray, shape (n, m, P, 1 + C)
@@ -61,7 +64,7 @@ class _Groups(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LatentErrors:
-    """The residuals of m rows with latent errors in common, at n points (see the description of the module).
+    """Residuals of m rows that share latent errors, at n points; the module docstring has the notation.
 
     Attributes
     ----------
@@ -80,11 +83,11 @@ class LatentErrors:
     group: IntArray
 
     def terms(self) -> FloatArray:
-        """Return the log-density of each row given the rows before it, relative to independent residuals, (n, m).
+        """Return each row's log-density given the rows before it, minus that of independent residuals, (n, m).
 
         The terms sum to log N(r; 0, S) − log N(r; 0, I). If all groups have one row and C is 0, each term is the
         log-density of its row alone. Terms are −∞ where the residuals are so many standard deviations that
-        rounding of their squares, which cancel, would exceed a hundredth.
+        rounding errors of their squares, which cancel, would exceed 0.01.
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         with np.errstate(invalid="ignore"):  # of the rows without a density
@@ -101,7 +104,7 @@ class LatentErrors:
         return np.asarray(0.5 * (squares - log_det) - 0.5 * np.diff(so_far, axis=1, prepend=0.0))
 
     def squares(self) -> FloatArray:
-        """Return the squared residuals of each row given the rows before it, in standard deviations, (n, m)."""
+        """Return each row's squared residuals given the rows before it, in standard deviations, (n, m)."""
         quadratic = self._grown(self._groups.quadratic)
         if not self.common.shape[-1]:
             return np.asarray(quadratic[..., 0, 0])
@@ -109,7 +112,7 @@ class LatentErrors:
         return np.asarray(np.diff(so_far, axis=1, prepend=0.0))
 
     def slopes(self) -> Slopes:
-        """Return the derivatives of the sum of `terms`.
+        """Return the derivatives of the summed `terms`.
 
         With the mean ẑ, ŵ and the covariance Cov of the latent errors given the residuals, F = (A, a) and
         e = r − F(ẑ, ŵ), the derivatives are F(ẑ, ŵ) with respect to r and e(ẑ, ŵ)ᵀ − F Cov with respect to F.
@@ -133,8 +136,8 @@ class LatentErrors:
         Returns
         -------
         z, w : ndarray, shapes (n, m, P) and (n, C)
-            Means. For z, the last row of each group has the mean given all rows; earlier rows have it given some
-            of them.
+            Means. For z, each group's last row has the mean given all rows; earlier rows have the mean given only
+            some of them.
         of_z, of_both, of_w : ndarray, shapes (n, m, P, P), (n, m, P, C) and (n, C, C)
             Covariances of z, of z with w, and of w.
         """
@@ -162,7 +165,7 @@ class LatentErrors:
         return self._groups.mean[..., 0], self._groups.mean[..., 1:], self._covariance
 
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return S^(−½) r, shape (n, m, k), and S^(−½) times derivatives of r, (n, m, k, N).
+        """Return S^(−½) r, shape (n, m, k), and S^(−½) times the derivatives of r, (n, m, k, N).
 
         The root is symmetric, so that each residual keeps its meaning. For a group's matrix A with AᵀA = VΛVᵀ, the
         root is I − A V h(Λ) VᵀAᵀ with h(λ) = (1 − 1/√(1 + λ))/λ.
@@ -181,7 +184,7 @@ class LatentErrors:
 
     @cached_property
     def _before(self) -> IntArray:
-        """Index of the previous row of the same group, for each row, shape (m,); −1 for the first row."""
+        """For each row, the index of the previous row in the same group, shape (m,); −1 for the first row."""
         found, latest = [], dict[int, int]()
         for i, g in enumerate(self.group.tolist()):
             found.append(latest.get(g, -1))
@@ -190,13 +193,13 @@ class LatentErrors:
 
     @cached_property
     def last(self) -> IntArray:
-        """Index of the last row of each row's group, shape (m,)."""
+        """For each row, the index of the last row in the same group, shape (m,)."""
         latest = {g: i for i, g in enumerate(self.group.tolist())}
         return np.array([latest[g] for g in self.group.tolist()])
 
     @cached_property
     def _is_single(self) -> bool:
-        """Whether every group has one row of one residual."""
+        """Whether every group has only one row, with one residual."""
         return self.residuals.shape[2] == 1 and len(set(self.group.tolist())) == len(self.group)
 
     @cached_property
@@ -219,12 +222,12 @@ class LatentErrors:
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """M over the rows of the group up to each row, shape (n, m, P, P)."""
+        """M accumulated over the group's rows up to each row, shape (n, m, P, P)."""
         return np.asarray(np.eye(self.loads.shape[3]) + self._gram)
 
     @cached_property
     def _gram(self) -> FloatArray:
-        """AᵀA over the rows of the group up to each row, shape (n, m, P, P)."""
+        """AᵀA accumulated over the group's rows up to each row, shape (n, m, P, P)."""
         return self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)
 
     @cached_property
@@ -236,7 +239,7 @@ class LatentErrors:
         return np.asarray(np.eye(A.shape[3]) - np.swapaxes(A, 2, 3) * (A / self._variance[..., None, None]))
 
     def _sum(self, x: FloatArray) -> FloatArray:
-        """Return, for each row, the sum over the rows of its group up to it, (n, m, …)."""
+        """Return the cumulative sum of x over the rows of each group, shape (n, m, …)."""
         total = x
         for i in np.flatnonzero(self._before >= 0):
             total = x.copy() if total is x else total
@@ -244,7 +247,7 @@ class LatentErrors:
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
-        """Return the increments (n, m, …) of `total`, a cumulative sum over the rows of each group."""
+        """Return the increments of `total`, a cumulative sum over the rows of each group, shape (n, m, …)."""
         later = np.flatnonzero(self._before >= 0)
         if not len(later):
             return total
@@ -253,7 +256,10 @@ class LatentErrors:
         return found
 
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
-        """Return the quadratic form of r and log det after w is integrated out of sums (n, m, 1 + C, 1 + C)."""
+        """Integrate w out of the sums (n, m, 1 + C, 1 + C); return the quadratic form of r, with log det added.
+
+        Without `with_log_det`, log det is not added.
+        """
         N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
         right = so_far[..., 1:, :1]
         found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ _solve(N, right))[..., 0, 0]
@@ -268,9 +274,9 @@ def _half_root(gram: FloatArray) -> FloatArray:
 
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solutions (…, P, q) of systems with positive definite matrices (…, P, P).
+    """Solve systems with positive definite matrices (…, P, P); return the solutions (…, P, q).
 
-    A solution is NaN where the loadings are so large that the matrix is singular to working precision.
+    A solution is NaN where the factor loadings are so large that the matrix is singular to working precision.
     """
     right = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
     try:

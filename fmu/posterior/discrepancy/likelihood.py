@@ -1,4 +1,4 @@
-"""The likelihood of a model that has errors of its own, which are common to all data of a mode."""
+"""Likelihood with model discrepancy that is common to all data of a mode."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ _COMPLEX_STEP = 1e-30  # relative; a complex step subtracts nothing, so it may b
 
 
 class DiscrepantLikelihood(ModalLikelihood):
-    """A `ModalLikelihood` in which every mode sees parameters of its own: θ + s τ z_g for the mode g.
+    """A `ModalLikelihood` with model discrepancy: mode g has its own parameters θ + s τ z_g.
 
-    To first order in τ the residuals of mode g, of its frequency and its shape in all tests, are then Gaussian
-    with the covariance I + J T² Jᵀ, T = diag(s τ), in standard deviations of the measurement. One z_g serves all
-    tests, because the error of a model does not average out over tests. The terms of a mode in several tests are
-    conditional on the tests before; their sum is the joint log-density, determinant included.
+    To first order in τ, mode g's residuals (its frequency and shape in all tests) are then Gaussian with the
+    covariance I + J T² Jᵀ, T = diag(s τ), in measurement standard deviations. One z_g serves all tests, because
+    model error does not average out over tests. A mode's term in a later test is conditional on the earlier tests;
+    the terms sum to the joint log-density, determinant included.
 
     Parameters
     ----------
     model, data, errors, quantities
-        As in `ModalLikelihood`. Errors of `quantities` have no scatter.
+        As in `ModalLikelihood`. Errors of `quantities` have no discrepancy.
     discrepancies : sequence of Discrepancy
     layout : Layout
-        The parameters of the structure in the tests, and the tests with the labels of their modes.
+        Gives the structural parameters in the tests, and the tests with their mode labels.
 
     Raises
     ------
     ValueError
-        In the cases listed for `ModalLikelihood`, if errors of modes are correlated or not Gaussian, or a
-        discrepancy does not fit the parameters.
+        In the cases listed for `ModalLikelihood`, if mode errors are correlated or not Gaussian, or a discrepancy
+        does not fit the parameters.
     """
 
     has_discrepancy = True
@@ -92,18 +92,18 @@ class DiscrepantLikelihood(ModalLikelihood):
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
     def easier(self) -> list[Likelihood]:
-        """Return the likelihood without the discrepancy, of the same parameters."""
+        """Return the likelihood without the discrepancy, with the same parameters, as a one-element list."""
         found = ModalLikelihood(self.model, *self._made_of).using(self.used)
         found.noise = self.noise
         return [found]
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the terms depend on the frequencies alone, which is False if parameters scatter."""
+        """Whether the terms depend on the frequencies alone; False if parameters scatter."""
         return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta, with the derivatives that the scatter of parameters requires."""
+        """Return the predicted modes at theta, with the derivatives that scattering parameters need."""
         if not (gradient or len(self.errors.scattered)):
             return super().observed(theta)
         structural = theta[:, : self.model.n_parameters]
@@ -112,7 +112,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return without_shapes(*self.model.frequencies_and_gradient(structural))
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the terms, (n, n_terms), at theta (n, ndim); see `ModalLikelihood`."""
+        """Return the log-likelihood terms, (n, n_terms), at theta (n, ndim); see `ModalLikelihood`."""
         if self._alone is None or self.model.is_uncertain:
             return super().terms(theta)
         values = self._values(theta)[:, 0]
@@ -120,7 +120,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._with_quantities(self.of_used(terms), theta)
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the `terms` at theta (n, ndim), given the prediction of the modes there."""
+        """Return the `terms` at theta (n, ndim), given the predicted modes there."""
         parts = self._parts(seen, theta, gradient=False)[1]
         terms = self.of_used(np.asarray(sum(part.terms for part in parts)))
         with np.errstate(all="ignore"):
@@ -147,8 +147,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood, its gradient and the information; see `ModalLikelihood`.
 
-        With the covariance S, the information on the parameters is JᵀS⁻¹J, and the information on standard
-        deviations and τ is Fisher's. The derivatives of S with respect to the parameters are neglected.
+        With the residuals' covariance S, the information on the parameters is JᵀS⁻¹J, and the information on error
+        sds and τ is Fisher's. The derivatives of S with respect to the parameters are neglected.
         """
         seen, exact = self._observed_with_curvature(theta)
         with np.errstate(all="ignore"):
@@ -169,7 +169,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the residuals and their derivatives multiplied by S^(−½), so that the residuals are independent.
 
-        S is the covariance of the residuals of a mode in all tests or, without a `chain`, in each test alone.
+        S is the covariance of a mode's residuals in all tests or, without a `chain`, in each test alone.
         """
         seen = self.observed(theta, True)
         with np.errstate(all="ignore"):
@@ -177,7 +177,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return squared residuals given the tests before, in standard deviations with the model's own errors."""
+        """Return squared residuals given the earlier tests, divided by their variances including discrepancy."""
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -187,7 +187,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def couples_modes(self) -> bool:
-        """Whether the term of a used mode depends on other data: the same mode in other tests, or all modes."""
+        """Whether a mode's term depends on other data: the same mode in other tests, or all modes."""
         return self.errors.n_common > 0 or len(set(self.group[self._used].tolist())) < len(self._used)
 
     def terms_given_others(self, theta: FloatArray) -> FloatArray:
@@ -203,14 +203,14 @@ class DiscrepantLikelihood(ModalLikelihood):
     def error_given_others(
         self, seen: ModalPrediction, theta: FloatArray, k: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the model's own error of the frequency of mode `k`, given the data of the other used modes.
+        """Return the discrepancy in mode `k`'s frequency, given the data of the other used modes.
 
         `seen` is the result of `observed` at theta (n, ndim).
 
         Returns
         -------
         mean, variance : ndarray, shape (n,), Hz and Hz²
-            Mean and variance of the error, which is the frequency with the error minus the computed frequency.
+            Mean and variance of the discrepancy: the frequency with discrepancy minus the computed frequency.
         """
         mean, gain, covariance, w, of_w = self.errors_given_data(seen, theta, np.setdiff1d(self._used, k))
         own, common = (x[:, k] for x in self._in_hz(seen, theta))
@@ -222,7 +222,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def errors_given_data(
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return `LatentErrors.given_common` of every mode, and mean and covariance of w, given the used data."""
+        """Return `LatentErrors.given_common` for every mode, and mean and covariance of w, given the used data."""
         (n, m, P), (*_, C) = (x.shape for x in self._in_hz(seen, theta))
         mean, gain, covariance = np.zeros((n, m, P)), np.zeros((n, m, P, C)), np.tile(np.eye(P), (n, m, 1, 1))
         if not len(used):
@@ -240,7 +240,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return computed frequencies with the model's own errors added; see `Likelihood`."""
+        """Return computed frequencies with the model discrepancy added; see `Likelihood`."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -260,7 +260,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return np.asarray(frequencies - np.sum(own * z, axis=2) - np.einsum("nmc,nc->nm", common, w))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of names and settings in plain Python types."""
+        """Return the names and settings as a dict of plain Python types."""
         return super().as_dict() | {"discrepancy": self.errors.as_list()}
 
     @property
@@ -269,14 +269,14 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def _test(self) -> IntArray:
-        """The test of each used mode."""
+        """Index of the test that each used mode belongs to."""
         return self.model.test_of_modes[self._used]
 
     def _noise(self, theta: FloatArray) -> FloatArray:
         return theta[:, self.model.n_parameters :]
 
     def _values(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters of the structure in every test, (n, n_tests, p)."""
+        """Return the structural parameters in every test, shape (n, n_tests, p)."""
         return theta[:, : self.model.n_parameters].reshape(len(theta), self.n_tests, -1)
 
     def _linearise(
@@ -286,7 +286,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.linearise(terms or self.terms_of, seen, self._noise(theta), self.of_used)
 
     def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> LatentErrors:
-        """Return the density of the residuals, with errors in common with other tests unless `by_test`."""
+        """Return the residuals with their latent errors; tests share the errors unless `by_test` is True."""
         group = self._used if by_test else self.group[self._used]
         found = self.errors.latent(rows, self._values(theta)[:, self._test], self._noise(theta), group)
         if by_test and self.n_tests > 1:
@@ -295,12 +295,12 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of every frequency, Hz, with respect to its mode's errors and common errors."""
+        """Return each frequency's derivatives, in Hz, with respect to its mode's own errors and common errors."""
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
-        """Return `observed`, and the second derivatives along directions if the model has them."""
+        """Return `observed`, and its second derivatives along directions, or None if the model has none."""
         if not self.model.gives_curvature(self.needs_shapes):
             return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)
@@ -342,7 +342,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> FloatArray:
         """Return the derivatives with respect to parameters, (n, m, p), through the residuals and their slopes.
 
-        Without exact second derivatives, they are differences of the slopes in every parameter: 2 p solves.
+        Without exact second derivatives, the slopes are differenced for every parameter, which takes 2 p solves.
         """
         values, noise = self._values(theta), self._noise(theta)
         of_residuals = np.einsum("nmk,nmkp->nmp", change.by_residual, rows.slopes)
@@ -365,13 +365,13 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found if self.model.is_uncertain else of_residuals + found
 
     def _of_all_modes(self, of_used: FloatArray) -> FloatArray:
-        """Return rows (n, m, …) for all modes: the given rows of the used modes, and 0 for the others."""
+        """Expand rows (n, m, …) of the used modes to all modes, with 0 for the others."""
         found = np.zeros((len(of_used), len(self.group), *of_used.shape[2:]))
         found[:, self._used] = of_used
         return found
 
     def _by_sd(self, seen: ModalPrediction, theta: FloatArray, change: Change) -> FloatArray:
-        """Return the derivatives with respect to inferred measurement standard deviations, (n, m, n_noise)."""
+        """Return the derivatives with respect to inferred measurement sds, shape (n, m, n_noise)."""
         found = np.zeros(change.by_noise.shape)
         for d in sorted({d for term in self.terms_of for d in term.spread.sizes}):
             moved, column = theta.astype(complex), self.model.n_parameters + d

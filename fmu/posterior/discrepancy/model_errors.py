@@ -1,4 +1,4 @@
-"""The model's errors in the residuals of its modes: their sizes, and derivatives with respect to these sizes."""
+"""Model discrepancy in the residuals of the modes: error variances, and derivatives with respect to them."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ type Take = Callable[[FloatArray, int], FloatArray]
 
 
 class Linearised(NamedTuple):
-    """The residuals of m rows, each a mode in a test, and their derivatives.
+    """Residuals of m rows, each a mode in a test, and their derivatives.
 
     Attributes
     ----------
     residuals : ndarray, shape (n, m, k)
         All residuals of the mode, one error model after the other.
     slopes : ndarray, shape (n, m, k, p)
-        Derivatives with respect to the parameters of the test; p = 0 if no parameter scatters.
+        Derivatives with respect to the parameters in the test; p = 0 if no parameter scatters.
     own, common : ndarray, shapes (n, m, k, Q) and (n, m, k, C)
-        Derivatives with respect to the mode's own errors, and to the errors that all modes have in common.
+        Derivatives with respect to the mode's own errors, and to the errors that all modes share.
     """
 
     residuals: FloatArray
@@ -41,16 +41,16 @@ class Linearised(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Derivatives of the log-density of rows, (n, m, …), with respect to the residuals and their slopes.
+    """Derivatives of the rows' log-density, (n, m, …), with respect to the residuals and their slopes.
 
     Attributes
     ----------
     by_residual, by_slope, by_own, by_common : ndarray
-        Of the shapes in `Linearised`.
+        Shapes as in `Linearised`.
     by_value : ndarray, shape (n, m, p)
-        With respect to the parameters, through the size of their scatter alone.
+        With respect to the parameters, only through the magnitude of their scatter.
     by_noise : ndarray, shape (n, m, n_noise)
-        With respect to inferred standard deviations, through the size of the model's errors alone.
+        With respect to inferred error sds, only through the magnitude of the discrepancy.
     """
 
     by_residual: FloatArray
@@ -61,22 +61,21 @@ class Change(NamedTuple):
     by_noise: FloatArray
 
     def of(self, rows: Linearised) -> FloatArray:
-        """Return the change of the log-density of each row with its slopes, own and common, (n, m)."""
+        """Return the change in each row's log-density when its slopes, own and common change as given, (n, m)."""
         pairs = ((self.by_slope, rows.slopes), (self.by_own, rows.own), (self.by_common, rows.common))
         found = [np.einsum("nmkp,nmkp->nm", by, x) for by, x in pairs if x.shape[-1]]
         return np.asarray(sum(found, np.zeros(self.by_residual.shape[:2])))
 
 
 class Variances(NamedTuple):
-    """Variances of the errors of the model: the mode's own errors, and the errors that all modes have in common.
+    """Variances of the model discrepancy: errors of each mode alone, and errors that all modes share.
 
     Attributes
     ----------
     own, common : ndarray, shapes (n, E + Q) and (n, F + C)
-        First the variances of the E and F parameters that have such scatter, relative to s², then those of errors
-        of modes.
+        First the variances of the E and F scattering parameters, relative to s², then those of mode errors.
     by_own, by_common : ndarray, shapes (n, n_noise, E + Q) and (n, n_noise, F + C)
-        Derivatives of their logarithms with respect to the inferred standard deviations.
+        Derivatives of their logarithms with respect to the inferred error sds.
     """
 
     own: FloatArray
@@ -87,7 +86,7 @@ class Variances(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """All errors of a model: the scatter of its parameters, and errors of the modes themselves.
+    """The complete model discrepancy: scatter of its parameters, and errors of the modes themselves.
 
     Attributes
     ----------
@@ -118,18 +117,18 @@ class ModelErrors:
 
     @property
     def n_common(self) -> int:
-        """Number of errors that all modes have in common."""
+        """Number of errors that all modes share."""
         return len(self.in_common) + sum(one.n_common for one in self.modes)
 
     def as_list(self) -> list[Plain]:
-        """Return a list of dicts of the settings in plain Python types."""
+        """Return the settings as a list of dicts of plain Python types."""
         scatters = [one.as_dict() for one in self.scatters if len(self.scattered)]
         return [*scatters, *(one.as_dict() for one in self.modes)]
 
     def linearise(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, take: Take
     ) -> Linearised:
-        """Return the residuals of error models at a prediction; `take` selects the rows."""
+        """Return the linearised residuals of the error models at a prediction; `take` selects the rows."""
         parts = [residuals_of_term(term, seen, noise, within=True) for term in terms]
         r = np.concatenate([part[0] for part in parts], axis=2)
         J = np.empty((*r.shape, 0)) if np.ndim(parts[0][1]) == 0 else np.concatenate([p[1] for p in parts], axis=2)
@@ -141,18 +140,21 @@ class ModelErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the derivatives with respect to parameters through the units of errors of modes."""
+        """Return the parameter derivatives, (n, m, p), of a function that depends on the modes' `units`.
+
+        `by_own` has its derivatives with respect to them; see `ModeErrors.change_of_units`.
+        """
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
         found = [one.change_of_units(terms, seen, noise, of) for one, of in zip(self.modes, parts, strict=False)]
         return np.asarray(sum(found, np.zeros(())))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        """Return the unit s of the scatter of each parameter at values (…, p), of the same shape."""
+        """Return the unit s of each parameter's scatter at values (…, p), with the same shape."""
         return self.scatters[0].scale(values)
 
     def variances(self, noise: FloatArray) -> Variances:
-        """Return the variances of the errors for inferred standard deviations (n, n_noise)."""
+        """Return the discrepancy variances for inferred error sds `noise` (n, n_noise)."""
         scatter = [np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True)]
         for i, k in enumerate((self.of_mode, self.in_common)):
             value = scatter[i][:, k]
@@ -163,11 +165,12 @@ class ModelErrors:
     def in_hz(
         self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of each frequency, Hz, with respect to its mode's errors and common errors.
+        """Return each frequency's derivatives, in Hz, with respect to its mode's own errors and common errors.
 
         Parameters
         ----------
         slopes : ndarray, shape (n, m, p), or None if no parameter scatters
+            Derivatives of the frequencies.
         measured : ndarray, shape (m,), Hz
         values : ndarray, shape (n, m, p)
         noise : ndarray, shape (n, n_noise)
@@ -187,13 +190,13 @@ class ModelErrors:
         return own * np.sqrt(v.own)[:, None], common * np.sqrt(v.common)[:, None]
 
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
-        """Return the density of the residuals; `values` (n, m, p) are the parameters in the test of each row."""
+        """Return the residuals with their latent errors; `values` (n, m, p) are each row's parameters."""
         v, (own, common) = self.variances(noise), self._units(rows, values)
         loads, shared = own * np.sqrt(v.own)[:, None, None], common * np.sqrt(v.common)[:, None, None]
         return LatentErrors(rows.residuals, loads, shared, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
-        """Return the derivatives of the sum of the terms of `latent`, which has the same rows."""
+        """Return the derivatives of the summed terms of `latent`, which has the same rows."""
         found, v, units = latent.slopes(), self.variances(noise), self._units(rows, values)
         by_own = found.by_loads * np.sqrt(v.own)[:, None, None]
         by_common = found.by_common * np.sqrt(v.common)[:, None, None]
@@ -211,7 +214,7 @@ class ModelErrors:
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
     def _units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (n, m, k, P) and (n, m, k, C) due to unit errors of a mode and in common."""
+        """Return the residuals that unit errors cause: a mode's own, (n, m, k, P), and common, (n, m, k, C)."""
         if not len(self.scattered):
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
@@ -221,12 +224,12 @@ class ModelErrors:
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
     ) -> FloatArray:
-        """Return Fisher's information on standard deviations, τ and correlations, shape (n, n_noise, n_noise).
+        """Return the Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
 
-        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), in which FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov with the covariance Cov of the errors
-        given the residuals. Between different modes, and for the same mode in different tests, only the common
-        errors are counted. Each of q sensors counts with the weight (q − 1)/q, the part that is independent of the
-        scale of a shape. `take` selects the rows of `latent`.
+        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, and Cov is the error covariance given
+        the residuals. Between different modes, and for the same mode in different tests, only the common errors
+        are counted. Each of q sensors has the weight (q − 1)/q, the part that is independent of the shape's scale.
+        `take` selects the rows of `latent`.
         """
         v = self.variances(noise)
         _, _, of_z, of_both, of_w = latent.given_residuals()
@@ -249,7 +252,7 @@ class ModelErrors:
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ∂V/∂noise / V of all residuals of the modes, (n, m, k, n_noise), and each one's weight (k,)."""
+    """Return ∂V/∂noise / V for all residuals of the modes, (n, m, k, n_noise), and each residual's weight (k,)."""
     parts, shares = [], []
     for term in terms:
         q, V = len(term.labels([""])), term.spread.variance(noise)

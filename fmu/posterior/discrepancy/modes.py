@@ -1,4 +1,4 @@
-"""Errors of the modes themselves: relative errors of the frequencies, and errors of the components of the shapes.
+"""Model discrepancy in the modes themselves: relative frequency errors, and errors of shape components.
 
 The frequency of mode i has the relative error σ (√ρ w + √(1 − ρ) z_i) with standard normal w and z_i. The part
 √ρ w is common to all modes, so that the errors of two modes have the correlation ρ. The shape of mode i, whose
@@ -28,14 +28,14 @@ from fmu.types import Dof, FloatArray, Plain
 
 @dataclass(frozen=True, eq=False)
 class ModeErrors:
-    """Errors of the modes, bound to the errors of their measurement.
+    """Model discrepancy in the modes, bound to their measurement errors.
 
     Attributes
     ----------
     sd, correlation : Setting or None
-        σ and ρ; None without errors of frequencies.
+        σ and ρ; None without frequency errors.
     shape_sd : Setting or None
-        σ_s; None without errors of shapes.
+        σ_s; None without shape errors.
     root : ndarray, shape (n_sensors, n_sensors)
         L.
     """
@@ -54,7 +54,7 @@ class ModeErrors:
         sensors: Sequence[Dof],
         structure: SeparableModel | None,
     ) -> ModeErrors:
-        """Return the errors of the modes; arguments and exceptions are as in `Discrepancy.bind`."""
+        """Bind the settings to error terms and sensors; arguments and errors are as in `Discrepancy.bind`."""
         prior, most = HalfNormal(settings.prior_sd), MOST * settings.prior_sd
 
         def size(name: str, known: float | None) -> Setting:
@@ -76,18 +76,18 @@ class ModeErrors:
 
     @property
     def n_own(self) -> int:
-        """Number of errors of each mode that are not common to all modes."""
+        """Number of errors that each mode has for itself alone."""
         return (self.sd is not None) + (0 if self.shape_sd is None else len(self.root))
 
     @property
     def n_common(self) -> int:
-        """Number of errors that all modes have in common."""
+        """Number of errors that all modes share."""
         return 0 if self.correlation is None or self.correlation == INDEPENDENT else 1
 
     def units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (n, n_modes, k, n_own) and (n, n_modes, k, n_common) due to unit errors."""
+        """Return the residuals that unit errors cause, (n, n_modes, k, n_own) and (n, n_modes, k, n_common)."""
         own, common = [], []
         for term in terms:
             V = term.spread.variance(noise)
@@ -110,7 +110,7 @@ class ModeErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the derivatives of a function of the own `units`, (n, n_modes, n_parameters).
+        """Return the parameter derivatives, (n, n_modes, n_parameters), of a function of each mode's own `units`.
 
         For shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the
         derivatives `by_own` of the function with respect to the units, (n, n_modes, k, n_own). Its derivatives
@@ -130,19 +130,19 @@ class ModeErrors:
     def _of_shapes(
         self, term: ShapeTerm, seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return C, (n, n_modes, q, q), and ψ and 1/σ, (n, n_modes, q), of `change_of_units`."""
+        """Return C, (n, n_modes, q, q), and ψ and 1/σ, (n, n_modes, q); see `change_of_units`."""
         root = np.swapaxes(1.0 / np.sqrt(term.spread.variance(noise)), 1, 2)
         largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
         return root[..., None] * (largest * self.root), root * np.swapaxes(seen.shapes, 1, 2), root
 
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the variances of the errors, and the derivatives of their logarithms.
+        """Return the error variances, and the derivatives of their logarithms.
 
         Returns
         -------
         own, common : ndarray, shapes (n, n_own) and (n, n_common)
         by_own, by_common : ndarray, shapes (n, n_noise, n_own) and (n, n_noise, n_common)
-            Derivatives with respect to the inferred standard deviations.
+            Derivatives with respect to the inferred error sds.
         """
         own, common = np.empty((len(noise), self.n_own)), np.empty((len(noise), self.n_common))
         by_own, by_common = (np.zeros((*noise.shape, k)) for k in (self.n_own, self.n_common))
@@ -164,14 +164,14 @@ class ModeErrors:
         return own, common, by_own, by_common
 
     def in_hz(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the error of each frequency due to unit errors, (n_modes, n_own) and (n_modes, n_common), Hz."""
+        """Return each frequency's error in Hz per unit error, (n_modes, n_own) and (n_modes, n_common)."""
         own = np.zeros((len(measured), self.n_own))
         if self.sd is not None:
             own[:, 0] = measured
         return own, np.repeat(measured[:, None], self.n_common, axis=1)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         kept = {"sd": self.sd, "correlation": self.correlation, "shape_sd": self.shape_sd}
         return {
             "kind": "modes",
@@ -181,7 +181,10 @@ class ModeErrors:
 
 
 def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
-    """Return the distances between sensors in m; infinite for different directions, or without coordinates."""
+    """Return the distances between sensors in m, shape (n_sensors, n_sensors).
+
+    They are infinite for different directions, or if the model has no coordinates.
+    """
     q = len(sensors)
     found = np.where(np.eye(q) > 0.0, 0.0, np.inf)
     geometry = None if structure is None else structure.geometry

@@ -1,4 +1,4 @@
-"""The region in which a reduced model must be accurate, which contains most of the prior and the posterior."""
+"""Find the region in which a reduced model must be accurate: most of the prior and the posterior."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _NEAR, _NOT_RARE = 0.5, 10.0
 def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of the box in which a reduced model is first trained, shape (n,) each.
 
-    The box of the priors (`fmu.posterior.parameters.box`) is extended to bounds that are near. It then also covers
-    the few draws in ten thousand that are beyond four standard deviations of a prior.
+    The prior's box (`fmu.posterior.parameters.box`) is extended to nearby bounds. It then also covers the few
+    draws in ten thousand that lie more than four prior standard deviations out.
     """
     ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
     is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
@@ -52,7 +52,7 @@ def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth
         Number of points per maximum.
     rng : Generator
     depth : float
-        Largest decrease of the log-probability from its highest maximum.
+        Largest decrease from the highest maximum's log-probability.
 
     Returns
     -------
@@ -88,10 +88,10 @@ def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
 
 
 def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the limits of a box that contains all plausible points; None if the box `trained` is large enough.
+    """Return the limits of a box that contains all plausible points, or None if the box `trained` is large enough.
 
-    The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the posterior is outside it, as
-    estimated by draws from the Laplace approximations at the maxima.
+    The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the posterior lies outside it,
+    estimated with draws from the Laplace approximations at the maxima.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
     maxima = local_maxima(problem, starts=8)

@@ -1,4 +1,4 @@
-"""The tolerance of a reduced model: the errors allowed in its frequencies and log-probability."""
+"""Tolerance of a reduced model: the errors allowed in its frequencies and log-probability."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PLAUSIBLE = 50.0
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The errors allowed in a reduced model.
+    """Errors allowed in a reduced model.
 
     Attributes
     ----------
     frequency : float
-        Largest relative error of a frequency, over the whole box.
+        Largest relative frequency error, over the whole box.
     log_prob : float
-        Largest error of the log-probability, wherever the log-probability is within `depth` of its maximum.
+        Largest log-probability error, wherever the log-probability is within `depth` of its maximum.
     depth : float
     """
 
@@ -34,9 +34,9 @@ class Tolerance:
 
     @classmethod
     def of(cls, reduction: bool | float, n_dof: int = 0) -> Tolerance | None:
-        """Return the tolerance for the argument `reduction` of a problem; None if no reduced model is wanted.
+        """Return the tolerance for a problem's argument `reduction`, or None if no reduced model is wanted.
 
-        `n_dof` is the number of degrees of freedom of the largest block.
+        `n_dof` is the number of degrees of freedom in the largest block.
 
         Raises
         ------
@@ -45,14 +45,14 @@ class Tolerance:
 
         Notes
         -----
-        Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, where z_i
-        are the standardised errors. The tolerance of the log-probability is therefore proportional to the
-        tolerance of the frequencies: 1e-3 for a tolerance of 1e-6. An error ε(θ) of log P with |ε| ≤ t shifts the
-        posterior mean of a quantity g by Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard
-        deviations. For this reason t is at most 0.1, which is the Monte Carlo error of 100 effective draws.
+        Relative frequency errors δ_i change the log-probability by Σ z_i δ_i f_i/σ_i to first order, where z_i are
+        the standardised errors. The log-probability tolerance is therefore proportional to the frequency
+        tolerance: 1e-3 for 1e-6. An error ε(θ) in log P with |ε| ≤ t shifts the posterior mean of a quantity g by
+        Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard deviations. For this reason t is at most
+        0.1, the Monte Carlo error at an effective sample size of 100.
 
         For a block of `LARGE` degrees of freedom or more, True allows an error of 0.01 in the log-probability
-        wherever it is within 10 of its maximum, a region that a posterior of some ten parameters hardly leaves.
+        wherever it is within 10 of its maximum, a region that a posterior with some ten parameters hardly leaves.
         The frequencies may have errors of 1e-3 in the box, and are more accurate where the log-probability
         requires it.
         """

@@ -1,4 +1,4 @@
-"""Training of a problem's reduced model, accurate in the box and more so where the posterior has its mass."""
+"""Train a problem's reduced model, accurate in the box and more so where the posterior has its mass."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _SNAPSHOTS, _BEYOND = 60, 1e-3
 
 
 class ReductionWarning(UserWarning):
-    """A warning that the reduced model does not meet its tolerance, or meets it only in part of the box."""
+    """Warns that the reduced model does not meet its tolerance, or meets it only in part of the box."""
 
 
 def reduced_model(
@@ -57,28 +57,27 @@ def reduced_model(
 
     At every point tested in the box, the frequencies meet their tolerance. The log-probability meets its tolerance
     wherever it is within the tolerance's `depth` of its maximum. Points at a jump, where modes swap and the two
-    models may pair different modes, are ignored. Training ends early if more points do not help, because only
-    rounding of the full model remains, or if a larger basis would not save time
-    (`fmu.fem.reduced.points.affordable`). After a run, the certificate states whether the tolerances were met
-    (`fmu.analysis.certificate`).
+    models may pair different modes, are ignored. Training ends early if more points do not help, because only the
+    full model's rounding remains, or if a larger basis would not save time (`fmu.fem.reduced.points.affordable`).
+    After a run, the certificate states whether the tolerances were met (`fmu.analysis.certificate`).
 
     If the box is so wide that a basis for the tolerance would not save time, three alternatives are tried in turn:
 
     - A basis with which the frequencies are accurate to 1e-3 in the box, and to their tolerance wherever the
       log-probability is within that depth of its maximum, if this basis saves time.
-    - A basis of modes at draws from the prior and the posterior, if the errors of the log-probability are below
+    - A basis of modes at draws from the prior and the posterior, if the log-probability errors are below
       `LOOSEST_LOG_PROB`.
     - The full model, which is returned with None for the tolerance.
 
     A model that is not given by its matrices is returned unchanged, with None. An engine solves the full model at
-    several points at once, and for the residuals of large structures. Comparisons with the full model count
+    several points at once, and computes the residuals of large structures. Comparisons with the full model count
     against a budget (`fmu.fem.reduced.training.BUDGET`).
 
     Raises
     ------
     ValueError
-        If the model must be trained and rounding errors exceed the errors of the measurement, or if a displacement
-        has neither stiffness nor mass where a parameter is zero.
+        If the model must be trained and rounding errors exceed the measurement errors, or if a displacement has
+        neither stiffness nor mass where a parameter is zero.
 
     Warns
     -----
@@ -113,7 +112,7 @@ def _reduce(
     compared: list[int] = []
 
     def some_points(model: ReducedStructure) -> FloatArray:
-        """Return plausible points; for a large structure inside the trained box, where no full model is needed."""
+        """Return plausible points; for a large structure only inside the trained box, without full solves."""
         if structure.solver == LAPACK:
             return plausible_points(problem.with_model(model), 64, rng, tolerance.depth)
         points = plausible_points(problem.with_model(model.extend(*bounds)), 64, rng, tolerance.depth)
@@ -186,11 +185,11 @@ def _find_tolerance(
 def _trained_at_draws(
     problem: Posterior, structure: PairedStructure, trained: FloatArray, frequency: float
 ) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
-    """Return a reduced model trained at draws from the prior and the posterior, and its state.
+    """Return a reduced model trained at draws from the prior and the posterior, and its training state.
 
-    Return None if the errors of the log-probability or the frequencies at fresh points of the posterior are too
-    large (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. `trained` (2, n_parameters) is
-    the box, and `frequency` is the relative error requested.
+    Return None if the errors in the log-probability or the frequencies at fresh posterior points are too large
+    (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. `trained` (2, n_parameters) is the
+    box, and `frequency` is the requested relative error.
     """
     n, rng = structure.n_parameters, np.random.default_rng(0)
     depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # contains all but this share of a Gaussian posterior
@@ -221,15 +220,15 @@ def _trained_at_draws(
 
 
 def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return the errors of a reduced model's log-probability at points (n, ndim), shape (n,)."""
+    """Return the reduced model's log-probability errors at points (n, ndim), shape (n,)."""
     exact = np.concatenate(by_parts("training", problem.likelihood.terms, points, _AT_ONCE, _AT_ONCE))
     return np.asarray(np.sum(problem.with_model(model).likelihood.terms(points) - exact, axis=1))
 
 
 def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
-    """Return bounds of the error of the log-probability at points (n, ndim), shape (n,), from frequency bounds.
+    """Return upper bounds of the log-probability error at points (n, ndim), from frequency error bounds, (n,).
 
-    The bound is the sum of the changes due to the largest error of each frequency separately. To first order,
+    The bound is the sum of the changes due to each frequency's largest error separately. To first order,
     simultaneous errors of all frequencies cannot change the log-probability by more.
     """
     theta = points[:, : model.n_parameters]
@@ -251,7 +250,7 @@ def _singular(problem: Posterior, error: SingularAnchorError) -> str:
 
 
 def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
-    """Return the largest relative error of the measured modes' frequencies at fresh points of the box."""
+    """Return the measured modes' largest relative frequency error at fresh points in the box."""
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
     if (
         model.truth.solver != LAPACK
@@ -261,7 +260,7 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
 
 
 def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
-    """Return the largest relative error of the reduced model's frequencies at theta (n, p), over measured modes.
+    """Return the reduced model's largest relative frequency error at theta (n, p), over measured modes.
 
     The result is 0 if no error exceeds `tolerance`. Points where both models have the same modes but pair
     different ones with the measured modes are skipped.
@@ -326,7 +325,7 @@ def _warn(said: str) -> None:
 
 
 def _looser(tolerance: Tolerance, reached: float) -> float:
-    """Return the power of ten above both the error reached and the tolerance, at most `LOOSEST_FREQUENCY`."""
+    """Return the power of ten above both the tolerance and the error reached, at most `LOOSEST_FREQUENCY`."""
     wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
     return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 
@@ -348,7 +347,7 @@ def on_a_jump(
     tolerance : float
         Largest relative difference between frequencies that count as equal.
     full : ModalSolution, optional
-        The modes of the full model at theta, if they are already computed.
+        The full model's modes at theta, if they are already computed.
     """
     reduced, full = model.modes(theta), full or model.truth.modes(theta)
     answers = np.full(full.eigenvalues.shape, np.nan)
