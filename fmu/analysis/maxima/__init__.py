@@ -1,4 +1,5 @@
-"""The maxima of the posterior, their probabilities, and the runs that missed a maximum.
+"""Maxima of the posterior, their probabilities, and the runs that missed one.
 
-Reading order: results, search, mode_weights, missed, starts.
+A maximum's mass is the integral of the unnormalised posterior around it; its share is its fraction of the total
+mass. Reading order: results, search, mode_weights, missed, starts.
 """

@@ -1,8 +1,8 @@
-"""Classify the point where an ascent ends: a maximum (zero gradient or active bound), kink, jump, edge or slope.
+"""Classify the point where an ascent ends: maximum (zero gradient or active bound), kink, jump, edge or slope.
 
-Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with shapes, a jump. An
-ascent that reaches a jump stops there with a non-zero gradient pointing across it. Such a point is not a maximum,
-and a quadratic model that extrapolates this gradient is wrong beyond the jump.
+Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with mode shapes, a jump.
+An ascent that reaches a jump stops there with a non-zero gradient pointing across it. This point is not a maximum,
+and a quadratic model that extrapolates the gradient is wrong beyond the jump.
 """
 
 from __future__ import annotations
@@ -20,22 +20,23 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 MAXIMUM, KINK, JUMP, EDGE, SLOPE = "maximum", "kink", "jump", "edge", "slope"
-"""Kinds of points: zero gradient or active bound; the gradient changes sign; log P falls; the model has no
-solution beyond; log P rises further."""
+"""Kinds of end points. Maximum: zero gradient or active bound. Kink: the gradient changes sign. Jump: log P falls.
+Edge: the model has no solution beyond. Slope: log P rises further."""
 VANISHING = 0.1
 """Largest gradient at a maximum, in nats per posterior standard deviation."""
 _FALL, _WITHIN = 0.05, 1e-5
-"""Smallest fall of log P at a jump, nats, and largest width of a jump, in posterior standard deviations."""
+"""Smallest fall of log P at a jump, in nats, and largest width of a jump, in posterior standard deviations."""
 _AHEAD = np.logspace(-8.0, -1.0, 15)
 _HALVINGS = 40
 _LOW, _WIDER = 40.0, 28.0
-"""Nats below the best point at which mass is negligible, and nats per coordinate for a factor of 1e12 in width."""
+"""Nats below the best point at which mass is negligible, and nats added per coordinate for a factor of 1e12 in
+width."""
 
 
 def slope(scaled: ScaledDensity, model: Quadratic) -> float:
     """Return the slope of log P in nats per posterior standard deviation, with active bounds held fixed.
 
-    The slope is √(gᵀH⁻¹g) over the free coordinates: the length of the gradient in the metric of the posterior.
+    The slope is √(gᵀH⁻¹g) over the free coordinates, that is the gradient's length in the posterior metric.
     """
     from fmu.posterior.ascent import decrement
 
@@ -44,18 +45,17 @@ def slope(scaled: ScaledDensity, model: Quadratic) -> float:
 
 
 def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -> str:
-    """Return the kind of point where an ascent ends: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
+    """Return the kind of point where an ascent ended: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
 
-    If the gradient does not vanish, log P is followed along the step that its quadratic model proposes, from 1e-8
-    to a tenth of the step. The first point where log P rises less than its gradient predicts is then found by
-    bisection.
+    If the gradient does not vanish, log P is followed along the Newton step of the quadratic model, from 1e-8 to a
+    tenth of the step. Bisection then finds the first point where log P rises less than its gradient predicts.
 
     Parameters
     ----------
     problem : UpdatingProblem
     scaled : ScaledDensity
     model : Quadratic
-        Quadratic model around the end of the ascent, scaled.
+        Quadratic model at the end point, in scaled coordinates.
     """
     rise = slope(scaled, model)
     if rise <= VANISHING:
@@ -87,17 +87,17 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
 
 
 def active_bounds(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
-    """Return −1 where the lower bound is active, 1 where the upper bound is active, else 0, shape (ndim,)."""
+    """Return −1 where the lower bound is active, 1 where the upper bound is active, otherwise 0; shape (ndim,)."""
     above = (model.gradient > 0) & (model.position >= scaled.upper)
     below = (model.gradient < 0) & (model.position <= scaled.lower)
     return above.astype(float) - below.astype(float)
 
 
 def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadratic:
-    """Return the quadratic model that divides the draws among the maxima.
+    """Return the quadratic model used to assign draws to a maximum.
 
-    Unless the point is a maximum or a kink, this model has no slope, except across active bounds: beyond a jump
-    the slope would be wrong.
+    At a maximum or kink this is `model` itself. At any other point the model gets no slope except across active
+    bounds, because the slope would be wrong beyond a jump.
     """
     if kind in (MAXIMUM, KINK):
         return model
@@ -105,5 +105,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Return whether each maximum, by its log-probability (n,), is too low to have mass, however wide it is."""
+    """Return a mask (n,) of the maxima whose log-probability is too low to have mass, however wide they are."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

@@ -1,4 +1,4 @@
-"""Regions of the posterior that a run missed, which no diagnostic of its own draws can reveal."""
+"""Detection of posterior regions that a run missed, which no diagnostic of its own draws can reveal."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
-"""A draw is near a maximum if it lies within the ellipsoid that holds this share of a Gaussian."""
+"""Fraction of a Gaussian inside the ellipsoid within which a draw counts as near a maximum."""
 _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """Comparison of the shares of a run's draws around the maxima with the shares of the maxima.
+    """Result of comparing a run's draws around each maximum with the maximum's share of the mass.
 
     Attributes
     ----------
     reasons : list of str
-        Reasons why the run has not converged: maxima that were missed, or visited out of proportion.
+        Reasons why the run has not converged: maxima that it missed, or visited out of proportion.
     outweighed : list of str
-        Shares on which importance sampling disagrees, but with a smaller effective sample size than the run.
+        Shares on which importance sampling disagrees, but with a smaller ESS than the run's.
     """
 
     reasons: list[str]
@@ -43,10 +43,11 @@ class Comparison(NamedTuple):
 
 
 def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
-    """Return the index of the maximum that each draw (n, ndim) is near, shape (n,); −1 if it is near none.
+    """Return the index of the maximum nearest to each draw (n, ndim), shape (n,); −1 if none is near.
 
-    A draw is near a maximum if it is inside the ellipsoid that would hold the share `NEARBY` of a Gaussian, by the
-    quadratic model of log P. A draw near several maxima belongs to the maximum whose model is highest at the draw.
+    A draw is near a maximum if it is inside the ellipsoid that would contain the fraction `NEARBY` of a Gaussian
+    with the maximum's quadratic model. A draw near several maxima is assigned to the one whose model is highest
+    there.
     """
     drop = maxima.drop(theta)
     height = np.where(drop <= _reach(theta), _peaks(maxima) - drop, -np.inf)
@@ -54,12 +55,12 @@ def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
 
 
 def draws_of_maxima(theta: FloatArray, log_prob: FloatArray, maxima: Maxima) -> IntArray:
-    """Return the index of the maximum that each draw belongs to, shape (n,); −1 if it belongs to none.
+    """Assign each draw to a maximum; return the maxima's indices, shape (n,), or −1 for no maximum.
 
-    A draw near a maximum (`nearest_maxima`) belongs to it. A curved ridge leaves the ellipsoid of a maximum.
-    Therefore a draw near no maximum belongs to the one whose quadratic model falls least, if its log-probability
-    is at least that on the surface of the ellipsoid. This divides the draws; it does not show whether a maximum
-    was visited, since an unknown mode may be as high.
+    A draw near a maximum (`nearest_maxima`) is assigned to it. Along a curved ridge, draws lie outside its
+    ellipsoid. A draw near no maximum is therefore assigned to the one whose quadratic model falls least, provided
+    that its log-probability is at least the value on the ellipsoid's surface. This only divides the draws: it does
+    not show that a maximum was visited, since an unknown mode may be as high.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return the drop of log P from the peak of a Gaussian to the ellipsoid that holds the share `NEARBY`.
+    """Return the drop in log P from a Gaussian's peak to the ellipsoid that contains the fraction `NEARBY` of it.
 
     The drop is half of the χ² quantile.
     """
@@ -86,7 +87,7 @@ def _reach(theta: FloatArray) -> float:
 
 
 def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
-    """Return sentences on maxima with mass that a run never came near, or visited out of proportion to their mass.
+    """Return sentences on maxima with mass that a run never came near, or visited out of proportion.
 
     Parameters
     ----------
@@ -102,11 +103,11 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 
 
 def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
-    """Compare the shares of a run's draws around the maxima with the maxima's shares of the mass.
+    """Compare the fraction of a run's draws around each maximum with the maximum's share of the mass.
 
-    If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The share with the larger
-    effective sample size decides. For the run, this is the effective sample size of the indicator of the maximum,
-    or the number of chains if no chain ever changes maxima. For importance sampling, it is that of the weights.
+    If the two differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong, and the one with the larger
+    ESS counts. The run's ESS is that of the indicator "at this maximum", or the number of chains if no chain ever
+    changes maxima. For importance sampling it is the ESS of the weights.
 
     Parameters
     ----------
@@ -153,15 +154,15 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
 
 
 class Visits(NamedTuple):
-    """Division of the draws among the maxima, and moves of the chains between maxima.
+    """How a run's draws are divided among the maxima, and how often its chains changed maxima.
 
     Attributes
     ----------
     share, error : ndarray, shape (maxima,)
-        Share of the draws that belong to each maximum, and its Monte Carlo standard error; NaN if no chain ever
-        moved to another maximum.
+        Fraction of the draws assigned to each maximum, and its Monte-Carlo standard error. The error is NaN if no
+        chain ever changed maxima.
     crossings : ndarray of int, shape (chains,)
-        Number of moves from one maximum to another along each chain, or of all walkers of an ensemble.
+        Number of moves from one maximum to another in each chain, summed over the walkers of an ensemble.
     """
 
     share: FloatArray
@@ -170,7 +171,7 @@ class Visits(NamedTuple):
 
 
 def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
-    """Return the shares of a run's draws at the maxima, and the numbers of moves between maxima."""
+    """Return the fraction of a run's draws at each maximum, and how often its chains changed maxima."""
     walkers, draws = walkers_of(trace), parameter_draws(trace)
     lp = array_of(trace, "sample_stats", "lp")
     owner = draws_of_maxima(draws.reshape(-1, draws.shape[2]), lp.ravel(), maxima).reshape(len(draws), -1, walkers)
@@ -181,10 +182,10 @@ def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
 
 
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
-    """Return the effective sample size of the share of draws at a maximum, given which draws are there.
+    """Return the ESS of the fraction of draws at a maximum, given a mask of these draws.
 
     If no chain changes maxima, this is the number of chains, because the starting points alone then determine the
-    share.
+    fraction.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))
@@ -193,11 +194,10 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 
 
 def _effective_weights(maxima: Maxima, k: int) -> float:
-    """Return the effective sample size of the estimated mass of a maximum.
+    """Return the ESS of a maximum's estimated mass.
 
-    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. That its mass is almost
-    zero is as certain as the masses of the other maxima are. Therefore the largest of their effective sample sizes
-    is returned.
+    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. That this is almost zero is
+    as certain as the other masses are, so the largest of their ESS is returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
@@ -215,16 +215,16 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Return True if a share of the draws and a share of the mass differ too much, unless both are small."""
+    """Return True if a fraction of the draws and a share of the mass differ too much, unless both are small."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """Return a description of how many chains or walkers are around each maximum.
+    """Return a clause that says how many chains or walkers are around each maximum.
 
-    The array `nearest` has the index of a maximum for each draw, shape (chains, steps, walkers).
+    `nearest` contains the index of each draw's maximum, shape (chains, steps, walkers).
     """
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
@@ -254,7 +254,7 @@ _FAR = 3.0
 
 
 def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> None:
-    """Raise ValueError if another run has different parameters from `trace`."""
+    """Raise ValueError unless all other runs have the parameters of `trace`."""
     names = parameter_names(trace)
     for name, other in others.items():
         if parameter_names(other) != names:
@@ -264,13 +264,13 @@ def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> N
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
-    """Return a sentence for each region of significant probability that another run visited and this run missed.
+    """Return a sentence on each region of significant probability that another run visited and this run missed.
 
-    A draw of another run is far away if its distance to every draw of this run exceeds three times the distance
-    between the chains of this run. Distances are in the metric of the covariance within the chains of this run.
-    The mass of the far draws is estimated by E[log P] + the entropy of a Gaussian, which for a Gaussian is the
-    logarithm of its mass. It is compared with the same estimate for this run, or with the total mass of the known
-    maxima if this is larger. Regions near a known maximum are left to `missed_maxima`.
+    A draw of another run is far if its distance to every draw of this run exceeds three times the distance between
+    this run's chains, in the metric of the covariance within those chains. The mass of the far draws is estimated
+    as exp(E[log P] + S), where S is the entropy of a Gaussian; this is exact if P is Gaussian. It is compared with
+    the same estimate for this run, or with the total mass of the known maxima if that is larger. Regions near a
+    known maximum are left to `missed_maxima`.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def missed_places(
 
 
 class _Paths:
-    """Thinned draws, one row per chain or walker: position (paths, steps, ndim), log_prob (paths, steps)."""
+    """Thinned draws, one path per chain or walker: position (paths, steps, ndim), log_prob (paths, steps)."""
 
     def __init__(self, trace: xr.DataTree) -> None:
         walkers = walkers_of(trace)
@@ -320,7 +320,7 @@ class _Paths:
         self.position: FloatArray = position[:, :, ::every].reshape(*self.log_prob.shape, -1).astype(float)
 
     def metric(self) -> FloatArray:
-        """Return W with Wᵀ C W = I, where C is the covariance within the paths, shape (ndim, ndim)."""
+        """Return W such that Wᵀ C W = I, where C is the covariance within the paths; shape (ndim, ndim)."""
         ndim = self.position.shape[2]
         within = (self.position - self.position.mean(axis=1, keepdims=True)).reshape(-1, ndim)
         covariance = within.T @ within / len(within)
@@ -331,9 +331,9 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return theta, log-probability and share of the mass of the best far draw of the other run.
+    """Return theta, log-probability and share of the mass of the other run's best far draw.
 
-    The result is None if the mass is negligible.
+    Return None if the mass is negligible.
     """
     W = here.metric()
     ndim = here.position.shape[2]

@@ -1,4 +1,4 @@
-"""The mass of the posterior that belongs to each of its local maxima."""
+"""The mass of the posterior around each of its local maxima."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _HOPELESS = 40.0
 
 @dataclass(frozen=True)
 class ModeWeight:
-    """The mass of a maximum of the posterior.
+    """The posterior mass around a maximum, with its mean and covariance.
 
     Attributes
     ----------
@@ -30,10 +30,10 @@ class ModeWeight:
     mean, covariance : ndarray, shape (ndim,) and (ndim, ndim)
         Moments of this part.
     effective : float
-        Effective sample size of the estimate; 0 for the Laplace approximation, which evaluates no densities.
+        ESS of the estimate; 0 for the Laplace approximation, which evaluates no densities.
     log_reach : float
-        Logarithm of the mass that the quadratic model of the maximum covers; it equals `log_mass` unless the draws
-        are divided by other models (`mode_weights`, basins).
+        Logarithm of the mass that the maximum's quadratic model covers; it equals `log_mass` unless other models
+        divide the draws (argument `basins` of `mode_weights`).
     """
 
     log_mass: float
@@ -52,13 +52,13 @@ def mode_weights(
     draws: int = DRAWS,
     basins: Sequence[Quadratic] | None = None,
 ) -> tuple[ModeWeight, ...]:
-    """Estimate the mass of every maximum.
+    """Estimate the posterior mass around each maximum.
 
-    The first estimate is the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less
-    than e⁻⁴⁰ of the largest mass. A maximum so low that no width can compensate for it has no mass. The other
-    masses are found by importance sampling of P itself. There are `draws` draws from the Gaussian of each maximum,
-    and as many from a Gaussian of twice its width. All are weighted by the density of their mixture, and divided
-    among the maxima in proportion to exp(m).
+    The first estimate is the Laplace approximation within the bounds, ∫ exp(m) du, where m is the quadratic model.
+    It is final for maxima with less than e⁻⁴⁰ of the largest mass. A maximum so low that no width can compensate
+    for it has no mass. The other masses come from importance sampling of P, with `draws` draws from each maximum's
+    Gaussian and as many from a Gaussian of twice its width. All draws are weighted by the density of their
+    mixture, and divided among the maxima in proportion to exp(m).
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ def mode_weights(
 def _laplace(
     maximum: Quadratic, lower: FloatArray, upper: FloatArray, rng: np.random.Generator, draws: int
 ) -> ModeWeight:
-    """Return the mass and the moments of exp(m) in the box, where m is the quadratic model."""
+    """Return the mass and moments of exp(m) within the bounds, where m is the quadratic model."""
     proposal = maximum.proposal(lower, upper, 1.0)
     u = proposal.draw(rng, draws)
     return _weigh_draws(u, maximum(u) - proposal.log_density(u), 0.0)
 
 
 def log_shares(maxima: Sequence[Quadratic], u: FloatArray) -> FloatArray:
-    """Return the logarithm of the share of each maximum in Σ exp(m) at points u (n, ndim), shape (maxima, n)."""
+    """Return the log of each maximum's fraction of Σ exp(m) at points u (n, ndim), shape (maxima, n)."""
     model = np.stack([m(u) for m in maxima])
     return np.asarray(model - logsumexp(model, axis=0))
 
@@ -117,20 +117,20 @@ def _importance(
     rng: np.random.Generator,
     draws: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return draws around the maxima (n, ndim), and the logarithms of their weights for P (n,)."""
+    """Return draws around the maxima, (n, ndim), and their log importance weights for P, (n,)."""
     proposals = [m.proposal(lower, upper, t) for m in maxima for t in TEMPERATURES]
     u, log_q = draw_mixture(proposals, [draws] * len(proposals), rng)
     return u, np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
 
 
 def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
-    """Return the mass and the moments of P around each maximum; None if no draw has a finite log-probability."""
+    """Return the mass and moments of P around each maximum; None for one where no draw has a finite weight."""
     belongs = log_shares(maxima, u)
     return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 
 
 def _weigh_draws(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
-    """Return the mean of the weights and the weighted moments of the draws (n, ndim)."""
+    """Return the mean importance weight, and the weighted mean and covariance of the draws u (n, ndim)."""
     log_sum = float(logsumexp(log_w))
     w = np.exp(log_w - log_sum)
     mean = w @ u

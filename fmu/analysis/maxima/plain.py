@@ -1,4 +1,4 @@
-"""Adapter of a plain log-density for the search for maxima: starting points, gradients, and doubts that remain."""
+"""Adapter that lets the search for maxima use a plain log-density: starting points, gradients, and doubts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
-    """Return the result of a density as floats; raise ValueError unless it has real numbers and this shape."""
+    """Return a density's result as floats; raise ValueError unless it is real and has the given shape."""
     array = np.asarray(got)
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise ValueError(
@@ -34,7 +34,7 @@ def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def _tell_where(theta: FloatArray) -> Iterator[None]:
-    """Add a note with the point of evaluation to an error raised by a density, except NotImplementedError."""
+    """Add a note with the point of evaluation to any error raised inside, except NotImplementedError."""
     try:
         yield
     except NotImplementedError:
@@ -46,26 +46,27 @@ def _tell_where(theta: FloatArray) -> Iterator[None]:
 
 
 _STEP = 1e-5
-"""Step of the differences that replace a missing gradient, in scaled coordinates."""
+"""Step of the finite differences that replace a missing gradient, in scaled coordinates."""
 _DECADES = (-1.0, 2.0)
-"""Decimal logarithms of the distances of starting points from the given one, without bounds or a prior; scaled."""
+"""Log10 range of distances between starting points and the given one, scaled, if there are neither bounds nor a
+prior."""
 
 
 class PlainDensity:
-    """A log-density with the attributes of an updating problem that the search needs; it has no modes.
+    """A plain log-density with the attributes of an updating problem that the search needs; it has no modes.
 
     The search avoids points at which the log-density is not finite. Evaluations are counted as solves.
 
     Parameters
     ----------
     density : LogDensity
-        ``log_prob_and_grad``, ``start`` and ``sample_prior`` are used if the density has them. Central differences
+        Its ``log_prob_and_grad``, ``start`` and ``sample_prior`` are used if it has them. Central differences
         replace a missing gradient.
 
     Attributes
     ----------
     region : str
-        Description of the region from which the starting points of the search are drawn.
+        Region from which the starting points of the search are drawn, in words.
     is_bounded : bool
         Whether bounds or a prior limit the region of the maxima.
     """
@@ -95,10 +96,10 @@ class PlainDensity:
         )
 
     def starting_points(self, starts: int, seed: int) -> FloatArray:
-        """Return the starting points of the ascents, shape (starts, ndim).
+        """Return starting points for the ascents, shape (starts, ndim).
 
-        The first is the given starting point; the others are drawn from the prior, within the bounds, or around
-        it.
+        The first is the density's own starting point. The others are drawn from the prior or, without a prior,
+        within the bounds or around the first point.
         """
         from scipy.stats import qmc
 
@@ -118,7 +119,7 @@ class PlainDensity:
         return np.empty((*np.shape(theta)[:-1], 0))
 
     def log_prob(self, theta: ArrayLike) -> Any:
-        """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
+        """Return the log-density at theta (ndim,) or (n, ndim); −inf if it is not finite."""
         points = np.atleast_2d(theta)
         count_solves(len(points))
         with _tell_where(points):
@@ -126,9 +127,9 @@ class PlainDensity:
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return the log-density and its gradient, exact or by central differences.
+        """Return the log-density and its gradient, either exact or by central differences.
 
-        Where they are not finite, the value is low and the gradient zero.
+        If they are not finite, the log-density is set below all values seen so far, and the gradient to zero.
         """
         points = np.atleast_2d(theta)
         if self._has_gradient:
@@ -161,17 +162,16 @@ class PlainDensity:
         return True
 
     def search_in_words(self, found: Sequence[Maximum]) -> str:
-        """Return a clause with the number of starting points, their region, and the number of maxima."""
+        """Return a clause with the number of starting points, their region, and the number of maxima found."""
         n = len(found)
         climbed = sum(m.starts for m in found)
         return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"
 
     def doubts(self, best: Maxima, found: Sequence[Maximum], is_spent: bool) -> tuple[str, ...]:
-        """Return reasons why the search does not exclude other maxima, one sentence each; empty without doubts.
+        """Return the reasons why the search does not exclude other maxima, one sentence each.
 
-        If every maximum was reached from two or more starting points, hardly any further starting point would lead
-        to another maximum (Good 1953, Biometrika 40, 237-264). If a maximum was reached from one only, others may
-        well be missed.
+        If every maximum was reached from at least two starting points, further starting points would hardly find
+        another one (Good 1953, Biometrika 40, 237-264). If one was reached only once, there may well be more.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class PlainDensity:
         found : sequence of Maximum
             All maxima that were found.
         is_spent : bool
-            Whether the search ended because it reached its limit of evaluations.
+            Whether the search stopped at its limit of evaluations.
         """
         said = self.search_in_words(found)
         once = sum(m.starts == 1 for m in best if m.share > NEGLIGIBLE)

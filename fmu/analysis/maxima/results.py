@@ -1,4 +1,4 @@
-"""The maxima of a posterior as a result: positions, weights, tables, and storage in a trace."""
+"""The maxima of a posterior as a result: positions, masses, tables, and storage in a trace."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 TYPICAL_POINT = {"maxima": "typical point"}
-"""Description of chains that start at the typical point of a hierarchical posterior, for a run's configuration."""
+"""Entry in a run's configuration for chains that start at the typical point of a hierarchical posterior."""
 MOST_SHOWN = 6
 """Largest number of maxima shown side by side."""
 _PROBABLE = ("log-probability", "share of probability", "starts")
@@ -33,18 +33,18 @@ _ENDS = {
     SLOPE: "where the search ended, and beyond: use more starts.",
 }
 NEGLIGIBLE = 0.01
-"""Share of the probability up to which a maximum is negligible: a run may miss it."""
+"""Probability share up to which a maximum is negligible, so that a run may miss it."""
 RELIABLE = 20.0
-"""Effective number of draws required for the mass of a maximum."""
+"""ESS that a maximum's mass needs to be reliable."""
 
 
 def share_of_mass(part: float) -> str:
-    """Return the share of a maximum as text; it is never shown as zero, even if it underflows."""
+    """Format a maximum's share of the mass; a share that underflows is not shown as zero."""
     return share(max(part, np.finfo(float).tiny))
 
 
 def mass_in_words(part: float) -> str:
-    """Return a share of the probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
+    """Describe a share of the probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
     text = share_of_mass(part)
     return text.replace("< ", "less than ").replace("> ", "more than ") if text[0] in "<>" else f"about {text}"
 
@@ -52,7 +52,7 @@ def mass_in_words(part: float) -> str:
 def theta_in_words(
     names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None
 ) -> str:
-    """Return a parameter vector as text: ``"Ix1 = 3904 mm⁴, Ax1 = 900.0 mm²"``; `sd` determines the digits."""
+    """Format a parameter vector: ``"Ix1 = 3904 mm⁴, Ax1 = 900.0 mm²"``; `sd` determines the digits."""
     spread = np.zeros(len(theta)) if sd is None else np.nan_to_num(sd)
     parts = zip(names, theta, spread, units, strict=True)
     return ", ".join(f"{name} = {with_unit(float(x), unit, float(s))}" for name, x, s, unit in parts)
@@ -60,7 +60,7 @@ def theta_in_words(
 
 @dataclass(frozen=True, eq=False)
 class PosteriorMaximum:
-    """A local maximum of the posterior within the bounds. SI units.
+    """A local maximum of the posterior within the bounds, in SI units.
 
     Attributes
     ----------
@@ -70,9 +70,9 @@ class PosteriorMaximum:
     frequencies : ndarray, shape (n_modes,)
         Computed frequencies in Hz, paired with the measured modes.
     starts : int
-        Number of optimiser starts that ended at this maximum.
+        Number of starting points from which the optimiser reached this maximum.
     at_bound : ndarray of int, shape (ndim,)
-        −1 where the lower bound is active, 1 where the upper bound is active, 0 elsewhere.
+        −1 where the lower bound is active, 1 where the upper bound is active, otherwise 0.
     gradient : ndarray, shape (ndim,)
         Gradient of the log-probability; not zero if a bound is active.
     hessian : ndarray, shape (ndim, ndim)
@@ -84,9 +84,9 @@ class PosteriorMaximum:
     log_mass : float
         Logarithm of the integral ∫ P(D|θ) P(θ) dθ over this part.
     effective_draws : float
-        Effective sample size of `mean`, `sd` and `log_mass`; 0 if they come from the Laplace approximation alone.
+        ESS of `mean`, `sd` and `log_mass`; 0 if they come from the Laplace approximation alone.
     share : float
-        Ratio of this mass to the total mass of all maxima found.
+        This mass divided by the total mass of all maxima found.
     kind : str
         ``"maximum"``: the gradient vanishes, or bounds are active; ``"kink"``, where the gradient changes sign;
         ``"jump"``, where log P falls; ``"edge"``, beyond which the model has no solution; ``"slope"``, where the
@@ -94,8 +94,8 @@ class PosteriorMaximum:
     slope : float
         Length of the gradient over the free coordinates, in nats per posterior standard deviation.
     weight : float
-        Share of the chains that start here: the mass that the quadratic model covers, also across a jump. If it is
-        NaN, `share` is used.
+        Fraction of the chains that start here: the mass that the quadratic model covers, even across a jump. If it
+        is NaN, `share` is used.
     """
 
     theta: FloatArray
@@ -122,35 +122,35 @@ class PosteriorMaximum:
 
     @property
     def starting_share(self) -> float:
-        """Share of the chains that start at this maximum."""
+        """Fraction of the chains that start at this maximum."""
         return self.share if np.isnan(self.weight) else self.weight
 
 
 @dataclass(frozen=True, eq=False)
 class Maxima:
-    """All local maxima that were found, the highest first; a sequence of `PosteriorMaximum`.
+    """All local maxima found, the highest first; a sequence of `PosteriorMaximum`.
 
     Attributes
     ----------
     maxima : tuple of PosteriorMaximum
     names, units : tuple of str
-        Names and units of the parameters.
+        Parameter names and units.
     labels : tuple of str
         Labels of the measured modes.
     lower, upper, start : ndarray, shape (ndim,)
-        The bounds, and the parameters of the model before updating.
+        Bounds, and parameters of the model before updating.
     measured, before : ndarray, shape (n_modes,)
         Measured frequencies, and frequencies of the model before updating, Hz.
     n_solves, n_gradients : int
         Number of model solves for the search and the masses, and how many of them had an exact gradient; 0 if
         unknown.
     search : str
-        Where the search of a plain density began and what it found, in words; empty for an updating problem.
+        For a plain density: where the search began and what it found, in words. Empty for an updating problem.
     doubts : tuple of str
         Reasons why the search does not exclude other maxima, one sentence each; empty if it excludes them as far
         as a search can.
     level : float
-        The third-highest log-density at points scattered over the region in which a plain density was searched. If
+        Third-highest log-density at points scattered over the region in which a plain density was searched. If
         draws lie above this level, the points are too sparse to find another mode as narrow as this one.
     """
 
@@ -180,12 +180,12 @@ class Maxima:
 
     @property
     def log_evidence(self) -> float:
-        """Logarithm of the total mass of the maxima: an estimate of log P(D), if all maxima were found."""
+        """Logarithm of the total mass of the maxima, which estimates log P(D) if all maxima were found."""
         return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
 
     @property
     def effective_draws(self) -> float:
-        """Smallest effective sample size of the masses that are not negligible."""
+        """Smallest ESS among the masses that are not negligible."""
         return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
@@ -203,7 +203,7 @@ class Maxima:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the positions, log-probabilities, gradients, Hessians and starting shares of the maxima."""
+        """SHA-256 hash of the maxima's positions, log-probabilities, gradients, Hessians and starting shares."""
         what = {
             name: [vars(m)[name] for m in self.maxima] for name in ("theta", "log_prob", "gradient", "hessian")
         }
@@ -235,16 +235,17 @@ class Maxima:
         return table
 
     def words_at_bounds(self, maximum: PosteriorMaximum) -> str:
-        """Return the active bounds in words: ``"Ix2 upper, Ax1 upper"``; empty if none is active."""
+        """Return a maximum's active bounds in words: ``"Ix2 upper, Ax1 upper"``; empty if none is active."""
         side = {-1: "lower", 1: "upper"}
         return ", ".join(
             f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
         )
 
     def drop(self, theta: FloatArray) -> FloatArray:
-        """Return the drop of each maximum's quadratic model from its peak to theta (n, ndim), shape (maxima, n).
+        """Return how far each maximum's quadratic model drops from its peak to theta (n, ndim), shape (maxima, n).
 
-        The drop is infinite for maxima so low that they have no mass: an ascent may have ended on a slope there.
+        The drop is infinite for maxima so low that they have no mass, because an ascent may have ended on a slope
+        there.
         """
         models = [
             basin(Quadratic(m.theta, m.log_prob, m.gradient, m.hessian), m.kind, m.at_bound) for m in self.maxima
@@ -254,9 +255,9 @@ class Maxima:
         return falls
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
-        """Return a table of text with a column for each maximum, for the model before updating and for the data.
+        """Return a table of text with one column for each maximum, for the model before updating and for the data.
 
-        The number of digits follows from the posterior standard deviations; different frequencies are shown as
+        The posterior standard deviations determine the number of digits; different frequencies are shown as
         different.
 
         Parameters
@@ -285,17 +286,17 @@ class Maxima:
         return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self) -> list[str]:
-        """Return a sentence for each of the highest maxima that has active bounds."""
+        """Return a sentence on each of the highest maxima that has active bounds."""
         words = [self.words_at_bounds(m) for m in self.maxima[:MOST_SHOWN]]
         titles = [self.title(k).capitalize() for k in range(len(words))]
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
 
     def title(self, k: int) -> str:
-        """Return the title of the maximum with index `k`: ``"maximum 1"``, or ``"jump 2"`` if it is none."""
+        """Return the title of maximum `k`: ``"maximum 1"``, or for example ``"jump 2"`` if it is not a maximum."""
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
     def no_maxima(self) -> list[str]:
-        """Return a sentence for each of the highest points where the search ended without reaching a maximum."""
+        """Return a sentence on each of the highest points at which the search ended without reaching a maximum."""
         return [
             f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
             f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"
@@ -304,7 +305,7 @@ class Maxima:
         ]
 
     def as_text(self, most_rows: int | None = None) -> str:
-        """Return the table as text; if it has more than `most_rows` rows, only the probabilities of the maxima."""
+        """Return the table as text; with more than `most_rows` rows, only the probabilities of the maxima."""
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]
@@ -322,7 +323,7 @@ class Maxima:
         return str(self.side_by_side().to_html()) + said
 
     def to_dataset(self) -> xr.Dataset:
-        """Return the maxima as a dataset that can be stored in a trace."""
+        """Return the maxima as a dataset that a trace can store."""
         import xarray as xr
 
         return xr.Dataset(
@@ -346,7 +347,7 @@ class Maxima:
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
-        """Return the maxima from a dataset that `to_dataset` returned."""
+        """Restore the maxima from a dataset that `to_dataset` returned."""
         columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS if name in dataset}
         rows = [{name: column[i] for name, column in columns.items()} for i in range(dataset.sizes["maximum"])]
         names, units, labels = (

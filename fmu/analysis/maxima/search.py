@@ -1,4 +1,4 @@
-"""Search for all maxima of the posterior from many starting points, with the curvature and the mass of each."""
+"""Search for all posterior maxima from many starting points, with the curvature and mass of each."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ _KNOWN: WeakKeyDictionary[LogDensity, dict[tuple[int, int, float], Maxima]] = We
 
 
 def default_starts(problem: UpdatingProblem) -> int:
-    """Return the default number of optimiser starts.
+    """Return the default number of starting points.
 
-    There are fewer starts if gradients are finite differences, or if a solve takes milliseconds because a large
-    model is not reduced, or is reduced to many unknowns.
+    It is smaller if gradients are finite differences, or if a solve takes milliseconds because a large model is
+    not reduced, or is reduced to many unknowns.
     """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
@@ -73,7 +73,7 @@ def _is_slow(problem: UpdatingProblem) -> bool:
 def is_searchable(problem: LogDensity) -> bool:
     """Return True if `find_map` can search the density.
 
-    It cannot search that of a population, whose maximum is far from its probability mass.
+    It cannot search a hierarchical posterior, whose maximum is far from its probability mass.
     """
     return not getattr(problem, "is_hierarchical", False)
 
@@ -82,15 +82,15 @@ def is_searchable(problem: LogDensity) -> bool:
 def find_map(
     problem: LogDensity, starts: Annotated[int, Interval(ge=1, le=1_000_000)] | None = None, seed: Seed = 1
 ) -> Maxima:
-    """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
+    """Find the maxima of the posterior within the bounds, with the curvature and mass of each.
 
     This is updating to a single parameter vector. It also shows what no sampler can show by itself: whether the
-    posterior has other maxima, and how much probability they hold. The result is cached with the problem, so that
-    a second search with the same number of starting points and the same seed costs nothing.
+    posterior has other maxima, and how much probability they hold. The result is cached with the problem, so a
+    second search with the same number of starting points and the same seed costs nothing.
 
-    For a function without derivatives that takes 0.05 s or longer, the search takes about as many solves as
-    building a surrogate, unless `starts` is given; `Maxima.doubts` then states after how many starting points the
-    search ended.
+    If the model is a function without derivatives that takes 0.05 s or longer, the search takes about as many
+    solves as building a surrogate, unless `starts` is given; `Maxima.doubts` then says after how many starting
+    points it ended.
 
     For any other log-density, the starting points are drawn from its prior (``sample_prior``), or within its
     bounds. A density with neither is searched around its starting point, which excludes no other maxima;
@@ -111,8 +111,8 @@ def find_map(
     -------
     Maxima
         The maxima, the highest first. The Hessians are differences of the exact gradient if the gradient is smooth
-        (`hessian_at`). The masses are integrals over the box by importance sampling around each maximum
-        (`mode_weights`), so that active bounds and non-Gaussian shapes are included.
+        (`hessian_at`). The masses are integrals within the bounds by importance sampling around each maximum
+        (`mode_weights`), so they account for active bounds and non-Gaussian shapes.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Ma
 
 
 def _most_solves(problem: UpdatingProblem) -> float:
-    """Return the default limit of solves: for a slow function the cost of a surrogate, otherwise infinity."""
+    """Return the default limit on solves: the cost of a surrogate for a slow function, otherwise infinity."""
     if problem.solves_per_gradient == 1:
         return np.inf
     seconds = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
@@ -194,11 +194,10 @@ def _weigh(
     most: float = np.inf,
     draws: int = DRAWS,
 ) -> Maxima:
-    """Return the maxima with their curvature and mass.
+    """Compute the curvature and mass of the maxima found.
 
-    The counts `solved` and `differentiated` are the solves and gradients before the search. If the number of
-    solves is limited to `most`, the Gauss–Newton matrix is used as the curvature, and the remaining solves are
-    used for the mass.
+    `solved` and `differentiated` are the numbers of solves and gradients before. If the solves are limited to
+    `most`, the curvature is the Gauss–Newton matrix, and the remaining solves are spent on the mass.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -245,7 +244,7 @@ def _weigh(
 def quadratic_at(
     problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum, *, is_rough: bool = False
 ) -> tuple[Quadratic, str]:
-    """Return the log-probability around a maximum to second order, scaled, and the source of its curvature."""
+    """Return the second-order expansion of log P at a maximum, in scaled coordinates, and its Hessian's source."""
     gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
     gradient = np.where(np.isfinite(gradient), gradient, 0.0)  # at an edge
     hessian, source = hessian_at(problem, maximum.theta, is_rough=is_rough)
@@ -262,7 +261,7 @@ def _in_si(
     mass: ModeWeight,
     frequencies: FloatArray,
 ) -> PosteriorMaximum:
-    """Return one maximum, converted from scaled coordinates to SI units."""
+    """Convert one maximum from scaled coordinates to SI units."""
     scale = problem.scale
     return PosteriorMaximum(
         theta=found.theta,
@@ -288,12 +287,12 @@ _SMOOTH = 0.3
 
 
 def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = False) -> tuple[FloatArray, str]:
-    """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and its source.
+    """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and how it was computed.
 
     The Hessian is computed from differences of the exact gradient, one-sided at the bounds. Their step is a
     twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero. Where modes swap, the
-    gradient jumps, and differences with another step disagree. For errors in the modes the Gauss–Newton matrix is
-    then used: JᵀJ of the residuals plus the curvature of the prior. It may be ten times too small if residuals are
+    gradient jumps, and differences with another step disagree. For modal errors the Gauss–Newton matrix is then
+    used: JᵀJ of the residuals plus the curvature of the prior. It may be ten times too small if residuals are
     several standard deviations.
 
     Parameters
@@ -331,7 +330,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the symmetric part of differences of the gradient over ± `step` (ndim,), in scaled coordinates."""
+    """Return gradient differences over ± `step` (ndim,), symmetrised, in scaled coordinates; (ndim, ndim)."""
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway
         vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]

@@ -1,4 +1,4 @@
-"""Starting points of chains around the maxima of a posterior: in proportion to their shares, and overdispersed."""
+"""Overdispersed starting points for chains around the posterior maxima, in proportion to their shares."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Starts(NamedTuple):
         Argument of `fmu.samplers.Run`: a word, or positions in SI units.
     word : {"maxima", "prior", "start", "array"}
     origin : str, ndarray or dict
-        Description of the starting points for the configuration of a run.
+        Description of the starting points in the run's configuration.
     """
 
     position: str | FloatArray
@@ -97,15 +97,15 @@ def choose_starts(
 
 
 def _is_finite_in_prior(density: PlainDensity, seed: int) -> bool:
-    """Return True if a log-density is finite at its starting point and at each of several draws from its prior."""
+    """Return True if a log-density is finite at its starting point and at each of several prior draws."""
     return bool(np.all(np.isfinite(density.log_prob(density.starting_points(_SCATTERED, seed)))))
 
 
 def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
     """Return `n` points (n, ndim) at which a log-density is finite.
 
-    They are drawn from its prior, within its bounds, or widely around its starting point, and chosen from a larger
-    number. If too few of these are finite, points are repeated. Raise ValueError if none is.
+    They are chosen from a larger number drawn from the prior, within the bounds, or widely around the starting
+    point. If too few of these are finite, points are repeated. Raise ValueError if none is.
     """
     theta = density.starting_points(_SCATTERED * n, seed)
     theta = theta[np.isfinite(density.log_prob(theta))]
@@ -115,7 +115,7 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 
 
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
-    """Return the maxima of a plain log-density if they are better starting points than its prior, else None.
+    """Return the maxima of a plain log-density if they are better starting points than its prior, otherwise None.
 
     They are better if there are several or there is no prior, provided that the mass is around the maxima, unlike
     in a funnel.
@@ -135,9 +135,9 @@ def middle(problem: Any) -> Quadratic:
 
 
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
-    """Draw the starting points of all chains around the maxima, in proportion to their shares of the probability.
+    """Draw the starting points of all chains around the maxima, in proportion to their shares.
 
-    Around each maximum, points are drawn from the Gaussian approximation there, widened by `DISPERSION` and
+    Around each maximum, points are drawn from the local Gaussian approximation, widened by `DISPERSION` and
     truncated at the bounds. The approximation may be poor that far out. So any point whose log-probability is not
     finite, or is below the contour that encloses nearly all of the widened Gaussian, is moved halfway to the
     maximum, up to `_HALVINGS` times. A point that is still not finite is then reflected through the maximum.
@@ -150,8 +150,8 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     chains : int
         Number of chains, or of ensembles.
     walkers : int
-        Number of walkers per ensemble; 1 for samplers whose chains are single points. The walkers of each ensemble
-        are allocated to the maxima in proportion to their shares.
+        Number of walkers per ensemble; 1 for samplers with ordinary chains. The walkers of each ensemble are
+        allocated to the maxima in proportion to their shares.
     seed : int
         Seed of the run.
 
@@ -171,7 +171,10 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
 
 
 def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
-    """Return starting points for the walkers of one ensemble, (n, ndim); see `fmu.UpdatingProblem.walkers`."""
+    """Return starting points for the walkers of one ensemble, (n, ndim); see `fmu.UpdatingProblem.walkers`.
+
+    Raise ValueError unless `n` is at least twice the number of parameters.
+    """
     least = 2 * problem.ndim
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < least:
         raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
@@ -181,12 +184,11 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
-    """Return quadratic models at the important maxima, scaled, and their weights.
+    """Return quadratic models at the important maxima, in scaled units, and their mixture weights.
 
-    Half of the weight is in proportion to the shares, half is equal. With these components a sampler can begin to
-    adapt to the posterior. The first candidates around each maximum then suffice to find its shape, and a share
-    that was estimated far too low is noticed. Without `maxima`, the single component is at the typical point of a
-    hierarchical posterior.
+    Half of the weight is proportional to the shares, half is equal. A sampler then gets enough first candidates
+    around each maximum to find its shape, and notices a share that was estimated far too low. Without `maxima`,
+    the single component is at the typical point of a hierarchical posterior.
     """
     if maxima is None:
         return [middle(density)], np.ones(1)
@@ -198,10 +200,10 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
 
 
 def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:
-    """Return True if the posterior of a model with a discrepancy is a funnel, of which the maximum is the neck.
+    """Return True if the posterior is a funnel with its maximum in the neck, as model discrepancy may cause.
 
     The more the parameters scatter, the wider is their posterior. Its maximum is at little scatter, and hardly any
-    draw around it has the weight of the posterior. False if several maxima matter.
+    draw around it has posterior weight. Return False if several maxima matter.
     """
     if not problem.likelihood.has_discrepancy:
         return False
@@ -210,7 +212,7 @@ def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:
 
 
 def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
-    """Return the log-probability around a maximum to second order, in scaled units."""
+    """Return the second-order expansion of log P at a maximum, in scaled units."""
     return Quadratic(
         scaled.to_scaled(maximum.theta),
         maximum.log_prob,
@@ -222,10 +224,10 @@ def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic
 def allot_chains(share: FloatArray, n: int) -> IntArray:
     """Return the index of the maximum at which each of `n` chains starts, shape (n,), in ascending order.
 
-    Every maximum gets one chain, those with the largest shares first if there are too few chains. The others are
-    allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares. Maxima with
-    a share below 1 %, or below a tenth of 1/n, get none: a chain that never leaves such a maximum would be out of
-    proportion (`fmu.analysis.maxima.missed.compare_shares`).
+    Every maximum gets one chain, those with the largest shares first if there are too few chains. The remaining
+    chains are allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares.
+    Maxima with a share below 1 %, or below a tenth of 1/n, get none: a chain that never leaves one of them would
+    be out of proportion (`fmu.analysis.maxima.missed.compare_shares`).
 
     Parameters
     ----------
@@ -243,7 +245,7 @@ def allot_chains(share: FloatArray, n: int) -> IntArray:
 
 
 def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n: int) -> FloatArray:
-    """Return `n` starting points around one maximum, shape (n, ndim), scaled."""
+    """Return `n` starting points around one maximum in scaled coordinates, shape (n, ndim)."""
     temperature = DISPERSION**2
     u = model.proposal(scaled.lower, scaled.upper, temperature).draw(rng, n)
     rim = model.log_prob - temperature * float(gammaincinv(0.5 * scaled.ndim, NEARBY))

@@ -1,4 +1,4 @@
-"""Traces in the format of ArviZ: conversion from a run, reading, storage and provenance.
+"""Traces in ArviZ format: converting a run, reading, storing, and recording provenance.
 
 Reading order: conversion, misfit, reading, provenance, modal_states, failure_ledger.
 """

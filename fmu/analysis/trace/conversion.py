@@ -1,8 +1,8 @@
-"""Conversion of a sampler's run to an ArviZ trace, and storage of traces in netCDF files.
+"""Conversion of a sampler run to an ArviZ trace, and storage of traces in netCDF files.
 
-All samplers use the same conversion, so that all traces have the same groups, names and dimensions ``(chain, draw,
-*)``. The draw dimension of an ensemble has the length steps x walkers and is step-major; the number of walkers is
-an attribute of the trace.
+All samplers share one conversion, so all traces have the same groups, names and dimensions ``(chain, draw, *)``.
+For an ensemble sampler the draw dimension has length steps × walkers and is step-major; the trace's attributes
+give the number of walkers.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ def to_trace(
         The density that was sampled. An `UpdatingProblem` gives all groups below. A plain log-density gives only
         the groups without frequencies; its parameters are called ``x0``, ``x1``, ... if it has no names.
     start : ndarray or mapping, optional
-        The starting points of the chains, if ``result.init`` does not define them: the positions given by the
-        user, or the maxima. They are part of the configuration and its hash.
+        Starting points of the chains, if ``result.init`` does not define them: positions from the user, or the
+        maxima. They become part of the configuration and its hash.
     predictions : bool
         Whether to solve the model at the draws for the groups that need frequencies.
     draws_only : bool
-        Whether to leave out all groups that follow from the draws. Convergence can be judged without them.
+        Whether to leave out all groups derived from the draws. Convergence can be judged without them.
     frequency : ndarray, shape (chains, draws, n_modes), Hz, optional
-        The computed frequencies at the draws, if they are known.
+        Computed frequencies at the draws, if they are known.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def to_trace(
         - ``misfit``: see `fmu.analysis.trace.misfit`;
         - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
           ``frequency`` with measurement noise, except under the modal residual, which has no noise. For repeated
-          tests ``frequency`` is the mean of as many new tests, and ``one_more_test`` is a single test;
+          tests ``frequency`` is the mean over as many new tests, and ``one_more_test`` is a single test;
         - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
@@ -104,8 +104,8 @@ def to_trace(
         - ``constant_data``: ``lower``, ``upper``, ``start``, ``beta``, and ``covariance_hz2`` with correlated
           errors;
         - ``tempering``, for parallel tempering: see `fmu.analysis.evidence_estimators.tempering_group`;
-        - ``tests``, for several tests (`fmu.JointProblem`): the parameters of the structure in every test (chain,
-          draw, test);
+        - ``tests``, for several tests (`fmu.JointProblem`): the structural parameters in every test (chain, draw,
+          test);
         - ``next_test``, for a hierarchical posterior: the frequencies of one more test like the first,
           ``frequency`` with measurement noise and ``model_frequency`` without.
 
@@ -138,9 +138,9 @@ def to_trace(
 
 @check_arguments
 def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
-    """Write a trace to a netCDF file; if the writing fails, no incomplete file is left.
+    """Write a trace to a netCDF file; if this fails, no incomplete file is left behind.
 
-    The content is first created in memory, because the HDF5 library cannot close a file if the disk is full.
+    The content is built in memory first, because the HDF5 library cannot close a file on a full disk.
 
     Parameters
     ----------
@@ -155,8 +155,7 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     OSError
-        If the file cannot be written, for example because the disk is full. An earlier file is then left
-        unchanged.
+        If the file cannot be written, for example because the disk is full. An existing file is then unchanged.
     """
     path = Path(path)
     with shielded():
@@ -185,7 +184,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If the file is not a netCDF file, or does not hold a trace written by fmu.
+        If the file is not a netCDF file, or does not contain a trace written by fmu.
     """
     path = Path(path)
     if not path.is_file():
@@ -199,7 +198,9 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 
 
 def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
-    """Return all traces of a run by name, in the order of `fmu.samplers.registry.SAMPLERS`, then alphabetically.
+    """Return all traces in a run's directory by name, in the order of `fmu.samplers.registry.SAMPLERS`.
+
+    Names that are not samplers follow alphabetically.
 
     Raises
     ------
@@ -212,17 +213,20 @@ def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a random generator from the run's seed, independent of the chains' generators (tasks 0, 1, ...)."""
+    """Return a random generator seeded by the run, independent of the chains' own generators.
+
+    Each `stream` number gives a different generator.
+    """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
 
 def _sample_coordinates(values: FloatArray) -> dict[str, NDArray[np.int64]]:
-    """Return the coordinates of an array of shape (chains, draws, ...)."""
+    """Return chain and draw coordinates for an array of shape (chains, draws, ...)."""
     return {"chain": np.arange(values.shape[0]), "draw": np.arange(values.shape[1])}
 
 
 def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, ...]) -> xr.Dataset:
-    """Return a dataset with one variable per parameter, from positions of shape (chains, draws, ndim)."""
+    """Return a dataset with one variable per parameter, given positions of shape (chains, draws, ndim)."""
     import xarray as xr
 
     variables = {
@@ -233,9 +237,9 @@ def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, .
 
 
 def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
-    """Return a dataset of the sampler's statistics, without the log-likelihoods at the rungs of a ladder.
+    """Return a dataset of the sampler's statistics, without the log-likelihoods of tempered chains.
 
-    The weights P/q of a mixture are converted to a density in SI units.
+    Mixture weights P/q are converted to densities in SI units.
     """
     import xarray as xr
 
@@ -249,7 +253,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return a dataset of the bounds, the starting point and the weights of the measured frequencies."""
+    """Return a dataset with the bounds, the starting point and the weights of the measured frequencies."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}
@@ -277,7 +281,7 @@ def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
 def _frequency_groups(
     result: RunResult, problem: Any, frequency: FloatArray | None = None
 ) -> dict[str, xr.Dataset]:
-    """Return the groups that need the computed frequencies at the draws; each distinct draw is solved once."""
+    """Return the groups that need computed frequencies; each distinct draw is solved once."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
@@ -342,7 +346,7 @@ def _frequency_groups(
 
 
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
-    """Return the groups of a trace that describe each test, and the next test."""
+    """Return the trace groups that describe each test, and the next test."""
     import xarray as xr
 
     from fmu.analysis.fit.populations import GROUP, population_group
@@ -387,8 +391,5 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
 
 
 def _stack_terms(terms: FloatArray, squares: FloatArray) -> FloatArray:
-    """Return terms (n, n_modes) of the log-likelihood and squares (n, n_kinds, n_modes) as one array.
-
-    Its shape is (n, 1 + n_kinds, n_modes).
-    """
+    """Stack log-likelihood terms (n, n_modes) on squared residuals (n, n_kinds, n_modes) along axis 1."""
     return np.concatenate([terms[:, None], squares], axis=1)

@@ -1,4 +1,4 @@
-"""Damage estimated by a run: the loss of each parameter in each state, and the probability of large losses."""
+"""Damage estimated by a run: each parameter's loss in each state, and the probability of large losses."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ WITHHELD = "withheld"
 
 
 def probably(p: float) -> str:
-    """Return a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``.
+    """Format a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``.
 
-    NaN stands for a probability that is not given, and is written as ``"withheld"``.
+    NaN, a probability that is not given, becomes ``"withheld"``.
     """
     if np.isnan(p):
         return WITHHELD
@@ -44,16 +44,16 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     trace : xarray.DataTree
         A trace of a `fmu.JointProblem` with parameters that vary by ``"group"`` or `fmu.Damage`.
     beyond : sequence of float
-        Losses between 0 and 1; the probability of exceeding each of them is computed.
+        Thresholds between 0 and 1; the probability of a loss above each of them is computed.
 
     Returns
     -------
     pandas.DataFrame
-        One row for each state and parameter, and one row per state named ``"any"`` for the largest loss of all
+        One row for each state and parameter, and one row per state named ``"any"`` for the largest loss over all
         parameters. The columns are ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` (the central 90 %), and
         ``P(loss > 5 %)`` and so on for each value of `beyond`. These probabilities are NaN if the tests contradict
-        the law of a parameter, such as its dependence on temperature, because the losses then include effects
-        that the law omits; ``attrs["withheld"]`` of the table has the reason.
+        a parameter's law, such as its dependence on temperature, because the losses then include effects that the
+        law omits; ``attrs["withheld"]`` gives the reason.
 
     Raises
     ------
@@ -70,20 +70,20 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
 
 @check_arguments
 def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.DataFrame:
-    """Return the losses in each test of the parameters with damage at an unknown date (`fmu.UndatedDamage`).
+    """Return each test's losses of the parameters with damage at an unknown date (`fmu.UndatedDamage`).
 
     Parameters
     ----------
     trace : xarray.DataTree
-        A trace of a `fmu.JointProblem` with such parameters.
+        A trace of a `fmu.JointProblem` with these parameters.
     beyond : sequence of float
-        Losses between 0 and 1; the probability of exceeding each of them is computed.
+        Thresholds between 0 and 1; the probability of a loss above each of them is computed.
 
     Returns
     -------
     pandas.DataFrame
         One row for each test and parameter, with the columns of `fmu.damage`, and one row per test named ``"any"``
-        for the largest loss of all parameters.
+        for the largest loss over all parameters.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) ->
 
 
 def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -> pd.DataFrame:
-    """Return the table of losses in a group of the trace, with a row for each parameter in each state or test."""
+    """Return the table of losses in a trace group, with a row for each parameter in each state or test."""
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
         raise ArgumentError("beyond", "must be between 0 and 1, such as 0.05", wrong[0])
@@ -121,7 +121,7 @@ def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -
 
 
 def _reason_to_withhold(trace: xr.DataTree) -> str:
-    """Return a sentence on why the probabilities of losses are withheld; empty if they are not."""
+    """Return a sentence on why loss probabilities are withheld, or an empty string if they are not."""
     contradicted = contradicted_laws(trace)
     if not contradicted:
         return ""
@@ -129,9 +129,9 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the posterior means before and after damage, SI units, of every parameter that has a loss.
+    """Return posterior means before and after damage, SI units, of every parameter that has a loss.
 
-    The value before is the mean over the tests of the reference state.
+    The mean before damage is taken over the tests of the reference state.
 
     Returns
     -------
@@ -153,16 +153,16 @@ def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
 
 
 def tests_in(trace: xr.DataTree, state: str) -> list[str]:
-    """Return the names of the tests of a state."""
+    """Return the names of the tests made in a state of the structure."""
     return [str(test["name"]) for test in problem_of(trace)["tests"] if test["group"] == state]
 
 
 def before_in_words(trace: xr.DataTree) -> str:
-    """Return the reference state and its tests: ``"reference (tests reference 1 and reference 2)"``."""
+    """Return the reference state and its tests in words: ``"reference (tests reference 1 and reference 2)"``."""
     return state_in_words(trace, str(trace[LOSSES].attrs["reference"]))
 
 
 def state_in_words(trace: xr.DataTree, state: str) -> str:
-    """Return a state and its tests: ``"pattern 1 (test one)"``."""
+    """Return a state and its tests in words: ``"pattern 1 (test one)"``."""
     tests = tests_in(trace, state)
     return state if tests == [state] else f"{state} (test{'s' * (len(tests) > 1)} {names_in_words(tests)})"

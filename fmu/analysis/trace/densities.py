@@ -1,4 +1,4 @@
-"""Properties of a log-density, and the defaults for properties that it does not define."""
+"""Optional properties of a log-density, and defaults for a density without them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def is_updating(problem: object) -> TypeGuard[UpdatingProblem]:
 
 
 def discrepant_likelihood(problem: UpdatingProblem) -> DiscrepantLikelihood | None:
-    """Return the likelihood of a problem whose model has errors of its own; None for any other problem."""
+    """Return the problem's likelihood if it includes model discrepancy, otherwise None."""
     from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 
     likelihood = problem.likelihood
@@ -27,34 +27,34 @@ def discrepant_likelihood(problem: UpdatingProblem) -> DiscrepantLikelihood | No
 
 
 def has_several_tests(problem: object) -> TypeGuard[UpdatingProblem]:
-    """Return True if `problem` is an updating problem of several tests."""
+    """Return True if `problem` is an updating problem with several tests."""
     return len(getattr(problem, "tests", ())) > 1
 
 
 class WithPrior(LogDensity, Protocol):
-    """A log-density with a prior from which draws can be made."""
+    """A log-density whose prior can be sampled."""
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Draw `n` parameter vectors, shape (n, ndim)."""
+        """Draw `n` parameter vectors from the prior, shape (n, ndim)."""
         ...
 
 
 def has_prior(density: LogDensity) -> TypeGuard[WithPrior]:
-    """Return True if a log-density has a prior from which draws can be made."""
+    """Return True if a log-density has a prior that can be sampled."""
     return hasattr(density, "sample_prior")
 
 
 def names_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the names of the parameters; ``x0``, ``x1``, ... if the density has no names."""
+    """Return the parameter names, or ``x0``, ``x1``, ... if the density has none."""
     return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
 
 
 def units_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the units of the parameters; empty strings if the density has no units."""
+    """Return the parameter units, or empty strings if the density has none."""
     return tuple(getattr(density, "units", ("",) * density.ndim))
 
 
 def start_of(density: LogDensity) -> FloatArray | None:
-    """Return the starting point, shape (ndim,); None if the density has none."""
+    """Return the starting point, shape (ndim,), or None if the density has none."""
     start = getattr(density, "start", None)
     return None if start is None else np.asarray(start, dtype=float)

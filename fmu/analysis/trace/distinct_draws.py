@@ -17,12 +17,12 @@ _NUMBERS = 2**18
 
 
 def batch_of(theta: FloatArray) -> int:
-    """Return the number of draws to evaluate at a time, given all draws (n, ndim)."""
+    """Return how many of the draws theta (n, ndim) to evaluate at a time."""
     return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
 
 
 def evaluate_in_parts(function: Callable[..., FloatArray], theta: FloatArray, *others: FloatArray) -> FloatArray:
-    """Return ``function(theta, *others)`` for arrays with n rows, computed for a batch of rows at a time."""
+    """Evaluate ``function(theta, *others)`` in batches of rows, and concatenate the results."""
     n, batch = len(theta), batch_of(theta)
     parts = [slice(k, k + batch) for k in range(0, max(n, 1), batch)]
     return np.concatenate([function(*(x[part] for x in (theta, *others))) for part in parts])
@@ -30,14 +30,14 @@ def evaluate_in_parts(function: Callable[..., FloatArray], theta: FloatArray, *o
 
 @dataclass(frozen=True)
 class DistinctDraws:
-    """The draws of a run without the repetitions from rejected proposals.
+    """A run's draws without the repetitions that rejected proposals cause.
 
     Attributes
     ----------
     theta : ndarray, shape (n, ndim)
-        Draws that differ from the previous draw of the same chain (or of the same walker of an ensemble).
+        Draws that differ from the previous draw of the same chain (or of the same walker in an ensemble).
     inverse : ndarray of int, shape (chains, draws)
-        Row index into `theta` for each draw.
+        Row of `theta` for each draw.
     """
 
     theta: FloatArray
@@ -45,12 +45,12 @@ class DistinctDraws:
 
     @classmethod
     def of(cls, position: FloatArray, walkers: int = 1) -> DistinctDraws:
-        """Return the draws without consecutive repetitions.
+        """Remove consecutive repetitions from the draws.
 
         Parameters
         ----------
         position : ndarray, shape (chains, steps * walkers, ndim)
-            Positions in step-major order: the next draw of a walker is `walkers` rows further on.
+            Positions in step-major order: a walker's next draw is `walkers` rows further on.
         walkers : int
         """
         chains, draws, ndim = position.shape
@@ -61,7 +61,7 @@ class DistinctDraws:
         return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
 
     def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int | None = None) -> FloatArray:
-        """Return ``function(theta)`` for every draw, shape (chains, draws, ...), in the phase "predictions".
+        """Evaluate a function at every draw, shape (chains, draws, ...); report progress as "predictions".
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The stored steps of an emcee ensemble, read from a sampler, a backend or an HDF file."""
+"""Stored steps of an emcee ensemble, read from a sampler, a backend or an HDF file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _THINNED = 1.02
 
 @dataclass(frozen=True, eq=False)
 class StoredEnsemble:
-    """The stored steps of one ensemble.
+    """The stored steps of one emcee ensemble.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class StoredEnsemble:
         Number of accepted proposals of each walker in the stored steps.
     blobs : ndarray, shape (steps, walkers, ...), or None
     names : tuple of str
-        ``parameter_names`` of the sampler; empty if it has none.
+        The sampler's ``parameter_names``; empty if it has none.
     moves : tuple of (str, float)
         Names and weights of the sampler's moves; empty if they are unknown.
     """
@@ -44,7 +44,7 @@ class StoredEnsemble:
 
     @classmethod
     def read(cls, source: Any, hdf_name: str) -> StoredEnsemble:
-        """Read the steps stored so far. Raise the errors listed in `fmu.from_emcee`."""
+        """Read the steps stored so far; `fmu.from_emcee` lists the errors raised."""
         backend, where = _backend(source, hdf_name)
         steps = int(backend.iteration) if backend.initialized else 0
         if steps < 1:
@@ -65,13 +65,13 @@ class StoredEnsemble:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The numbers of walkers and parameters."""
+        """Number of walkers and number of parameters."""
         return self.chain.shape[1], self.chain.shape[2]
 
     def find_moves(self, thin_by: int) -> BoolArray | None:
-        """Return whether each walker moved in each step, (steps, walkers); None if some steps were not stored.
+        """Return a mask of the walkers that moved in each step, (steps, walkers); None if steps were not stored.
 
-        Whether a walker moved in the first step follows from the number of accepted proposals.
+        For the first step it follows from the number of accepted proposals.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:
@@ -89,7 +89,7 @@ class StoredEnsemble:
 
 
 def check_alike(ensembles: list[StoredEnsemble]) -> None:
-    """Raise ValueError unless all ensembles agree in walkers, parameters, names and kinds of blobs."""
+    """Raise ValueError unless all ensembles agree in walkers, parameters, names and types of blobs."""
     first = ensembles[0]
     for k, ensemble in enumerate(ensembles):
         for what, one, other in (
@@ -108,7 +108,7 @@ def _kind(blobs: NDArray[Any] | None) -> str:
 
 
 def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
-    """Return the backend of a source, and a description of its location."""
+    """Return the emcee backend of a source, and a description of where it is."""
     from emcee.backends import Backend, HDFBackend
 
     if isinstance(source, str | os.PathLike):
@@ -128,7 +128,7 @@ def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
 
 
 def _require_steps(backend: Any) -> Any:
-    """Return the HDF backend. Raise ValueError unless its file contains the run."""
+    """Return the HDF backend; raise ValueError unless its file contains the run."""
     try:
         with backend.open() as file:
             inside = sorted(file)
@@ -145,7 +145,7 @@ def _require_steps(backend: Any) -> Any:
 def _parameter_names(given: Any) -> tuple[str, ...]:
     """Return a sampler's ``parameter_names``, in order of the parameters.
 
-    A name that stands for several parameters is numbered: ``"k[0]"``, ``"k[1]"``.
+    A name that covers several parameters is numbered: ``"k[0]"``, ``"k[1]"``.
     """
     if not given:
         return ()

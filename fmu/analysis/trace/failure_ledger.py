@@ -1,4 +1,4 @@
-"""The table of failed solves of a run, and the failure rate at which the run stops."""
+"""The table of a run's failed solves, and the failure rate at which the run stops."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ENOUGH_SOLVES = 200
 
 
 class FailedSolves(NamedTuple):
-    """Failed solves of one part of a run.
+    """Failed solves in one part of a run.
 
     Attributes
     ----------
@@ -25,12 +25,12 @@ class FailedSolves(NamedTuple):
     phase : str
         Phase of the run: "start", "warmup" or "draws".
     step : int
-        Number of steps of the phase at the end of the part.
+        Number of steps of the phase completed by the end of the part.
     failures : sequence of Failure
         Recorded failures (`fmu.UpdatingProblem.take_failures`).
     n_failed : int
-        Number of failed evaluations. It is larger than the number of recorded failures if some failed at the same
-        theta, or if very many failed.
+        Number of failed evaluations. It exceeds the number of recorded failures if some failed at the same theta,
+        or if very many failed.
     """
 
     task: int
@@ -74,14 +74,14 @@ def failure_rate_exceeded(
     at_least: int = ENOUGH_SOLVES,
     failures: Sequence[Failure] = (),
 ) -> str | None:
-    """Return a message if too large a share of the solves failed, else None.
+    """Return a message if too many of the solves failed, otherwise None.
 
     Parameters
     ----------
     n_failed, n_solves : int
         Number of failed solves, and number of all solves.
     limit : float
-        The largest share allowed; with 1 no run is ever stopped.
+        Largest failure rate allowed; with 1 no run is ever stopped.
     at_least : int
         Smallest number of solves for which the rate is judged.
     failures : sequence of Failure

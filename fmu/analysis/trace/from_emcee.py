@@ -1,4 +1,4 @@
-"""Conversion of runs of plain emcee to traces."""
+"""Conversion of plain emcee runs to traces."""
 
 from __future__ import annotations
 
@@ -51,23 +51,22 @@ def from_emcee(
     blob_names: Sequence[str] | None = None,
     maxima: Maxima | None = None,
 ) -> xr.DataTree:
-    """Convert runs of plain emcee to a trace for `fmu.summary`, `fmu.diagnose` and all other analyses.
+    """Convert plain emcee runs to a trace for `fmu.summary`, `fmu.diagnose` and all other analyses.
 
-    Every ensemble is a chain of the trace. With fewer than four ensembles, the verdict depends on autocorrelation
-    times and on the mixing of the walkers, and states that separate modes cannot be excluded.
+    Each ensemble becomes a chain of the trace. With fewer than four ensembles, the verdict depends on
+    autocorrelation times and on how well the walkers mix, and states that separate modes cannot be excluded.
 
     Parameters
     ----------
     source : emcee.EnsembleSampler, emcee.backends.Backend, path-like, or a list of these
-        The ensembles; a path is the path of an HDF file. The steps stored so far are read, also from a run that
-        was interrupted, is still running, or was resumed.
+        The ensembles; a path points to an HDF file. The steps stored so far are read, also from a run that was
+        interrupted, is still running, or was resumed.
     problem : UpdatingProblem or LogDensity, optional
-        The density that was sampled. It gives the names, units and bounds of the parameters, and the groups for
-        model, data and predictions. Leave it out if another log-probability was sampled, such as one with your own
-        prior.
+        The density that was sampled. It supplies parameter names, units and bounds, and the groups for model, data
+        and predictions. Leave it out if another log-probability was sampled, such as one with your own prior.
     names : sequence of str, optional
-        Names of the parameters. Defaults to the names in the problem, else ``parameter_names`` of the sampler,
-        else ``x0``, ``x1``, ...
+        Parameter names. Defaults to the problem's names, then to the sampler's ``parameter_names``, then to
+        ``x0``, ``x1``, ...
     discard : int or sequence of int
         Number of stored steps at the beginning that are warm-up, as in ``sampler.get_chain``; one number, or one
         for each ensemble. If different numbers of steps are left, the ensembles are aligned at their ends, and the
@@ -79,9 +78,9 @@ def from_emcee(
     hdf_name : str
         Name of the run within an HDF file.
     blob_names : sequence of str, optional
-        Names of blobs that have none: one name for all, or one for each column. Defaults to ``blobs``.
+        Names for unnamed blobs: one name for all, or one for each column. Defaults to ``blobs``.
     maxima : Maxima, optional
-        The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it.
+        Result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it.
 
     Returns
     -------
@@ -135,7 +134,7 @@ def from_emcee(
 
 
 class _Unknown:
-    """A density of which only the parameter names are known."""
+    """Stands in for an unknown density; it has only parameter names."""
 
     name = "emcee"
 
@@ -144,20 +143,20 @@ class _Unknown:
         self.lower, self.upper = np.full(self.ndim, -np.inf), np.full(self.ndim, np.inf)
 
     def configuration(self) -> dict[str, Any]:
-        """Return the name and the parameters of the density."""
+        """Return the density's name and parameters, for the trace's configuration."""
         return {"density": "emcee", "names": list(self.names)}
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The stored steps of every ensemble that are used as warm-up and draws, the same number for all ensembles.
+    """The stored steps used as warm-up and as draws, equally many for each ensemble.
 
     Attributes
     ----------
     draws, warmup : tuple of ndarray of int, shape (n,)
         Indices of the stored steps of each ensemble.
     discard : tuple of int
-        Number of stored steps before the draws of each ensemble.
+        Number of stored steps before the first draw of each ensemble.
     thin : int
     """
 
@@ -168,7 +167,7 @@ class Kept:
 
     @classmethod
     def of(cls, ensembles: list[StoredEnsemble], discard: list[int], thin: int) -> Kept:
-        """Return the last steps of every ensemble, as many as the shortest has; ValueError if it has none."""
+        """Return each ensemble's last steps, as many as the shortest has; raise ValueError if it has none."""
         each = []
         for ensemble, skipped in zip(ensembles, discard, strict=True):
             stored = len(ensemble.chain)
@@ -183,9 +182,9 @@ class Kept:
         return cls(draws, tuple(np.arange(stop - min(first), stop) for stop in first), first, thin)
 
     def evaluations(self, k: int, stored: int, thin_by: int) -> tuple[IntArray, IntArray]:
-        """Return each walker's number of evaluations in ensemble `k`, for every warm-up step and for every draw.
+        """Return each walker's evaluation count in ensemble `k`, for every warm-up step and for every draw.
 
-        They add up to the number of all evaluations: one per step, and one at the start.
+        The counts add up to all evaluations: one per step, and one at the start.
         """
         at = np.concatenate([self.warmup[k], self.draws[k]])
         until = thin_by * (at + 1) + 1
@@ -195,7 +194,7 @@ class Kept:
 
 
 def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnsemble]) -> tuple[str, ...]:
-    """Return the names of the parameters. Raise ValueError if they disagree or do not fit the stored chain."""
+    """Return the parameter names. Raise ValueError if they disagree or do not fit the stored chain."""
     ndim, of_sampler = ensembles[0].shape[1], ensembles[0].names
     of_problem = () if problem is None else names_of(problem)
     found = (() if names is None else tuple(names)) or of_problem or of_sampler
@@ -214,7 +213,7 @@ def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnse
 
 
 def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
-    """Return the number of steps to discard from each ensemble."""
+    """Return the number of steps to discard from each of `n` ensembles. Raise ValueError for a wrong count."""
     each = list(discard) if isinstance(discard, Sequence | np.ndarray) else [discard] * n
     if len(each) != n:
         raise ValueError(f"discard: must be one number, or one for each of {n} ensembles (got {len(each)})")
@@ -222,7 +221,7 @@ def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
 
 
 def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunResult:
-    """Return the ensembles as a run of fmu: draws step-major, with costs that add up to all evaluations."""
+    """Return the ensembles as a `RunResult`: step-major draws, and costs that add up to all evaluations."""
     walkers = ensembles[0].shape[0]
     accepted: list[NDArray[Any]] = []
     for ensemble in ensembles:
@@ -264,7 +263,7 @@ def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunRes
 
 
 def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Stack arrays (steps, walkers, ...) of ensembles as (ensembles, steps * walkers, ...), step-major."""
+    """Stack arrays (steps, walkers, ...), one per ensemble, as (ensembles, steps * walkers, ...), step-major."""
     stacked = np.stack(each)
     return stacked.reshape(len(stacked), -1, *stacked.shape[3:])
 
@@ -301,10 +300,10 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
 def _check_log_prob(
     draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float
 ) -> FloatArray | None:
-    """Compare the log-probability at five draws with the problem, and return its frequencies at all draws.
+    """Compare the log-probability at five draws with the problem; return the frequencies found among the blobs.
 
-    The frequencies are removed from `blobs`; None if they are not among the blobs. Raise ValueError if a stored
-    log-probability differs from the computed one.
+    They are removed from `blobs`; the result is None if `blobs` does not contain them. Raise ValueError if a
+    stored log-probability differs from the computed one.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()
@@ -336,7 +335,7 @@ def _check_log_prob(
 
 
 def _count_evaluations(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.DataTree) -> xr.Dataset:
-    """Return a dataset of emcee's acceptance fractions, autocorrelation times and counts of steps."""
+    """Return a dataset of emcee's acceptance fractions, autocorrelation times and step counts."""
     import xarray as xr
     from emcee.autocorr import integrated_time
 
@@ -354,7 +353,6 @@ def _count_evaluations(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.Da
 
 
 def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Dataset:
-    """Return the blobs as variables of a dataset."""
     import xarray as xr
 
     variables = {
@@ -365,7 +363,7 @@ def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Datase
 
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
-    """Return the trace with certificate, modes, pairing and identifiability of the model."""
+    """Return the trace with the model's certificate, modes, pairing and identifiability added."""
     certificate = certify(trace, problem, full_solves=problem.model.full_solves)
     trace.attrs |= {} if certificate is None else certificate.attributes()
     trace = with_pairing(with_modes(trace, problem, maxima), problem)

@@ -1,4 +1,4 @@
-"""Squared residuals at the draws, from which `fmu.analysis.fit` judges whether the model fits the data."""
+"""Squared residuals at the draws, which `fmu.analysis.fit` uses to judge whether the model fits the data."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ TAILS = np.logspace(-6.0, 0.0, 121)
 def misfit_group(
     problem: UpdatingProblem, squares: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return a dict with the group ``misfit`` of a trace; empty for the modal residual.
+    """Return the trace group ``misfit`` in a dict, or an empty dict for the modal residual.
 
     Parameters
     ----------
     problem : UpdatingProblem
     squares : ndarray, shape (chains, draws, n_kinds, n_modes)
-        Squares from `UpdatingProblem.terms_and_misfit`.
+        Squared residuals from `UpdatingProblem.terms_and_misfit`.
     coordinates : mapping
         Coordinates of chain, draw and mode.
 
@@ -39,7 +39,7 @@ def misfit_group(
     -------
     mapping of str to xarray.Dataset
         The group has ``squares`` (chain, draw, quantity, mode), which is Σ r² over the standardised residuals of a
-        mode. It is a chi-square variable with ``freedom`` (quantity) degrees of freedom if the model is correct.
+        mode. If the model is correct, it is chi-square distributed with ``freedom`` (quantity) degrees of freedom.
         For inferred standard deviations the group has ``noise_isf`` (noise, tail), the value that the prior
         exceeds with the probability ``tail``, and ``noise_of`` (noise), the quantities with these errors.
         Attributes: ``n_data``, the number of independent measured values; ``other``, the quantities that are not
@@ -74,7 +74,7 @@ def misfit_group(
 def quantities_group(
     problem: UpdatingProblem, position: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return a dict with the group ``quantities`` of a trace; empty if all data are modes.
+    """Return the trace group ``quantities`` in a dict, or an empty dict if all data are modes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The modes of a structure before and after updating: frequencies, shapes and MAC."""
+"""Modes of the structure before and after updating: frequencies, mode shapes and MAC."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ If the structure has more, only those at sensors are stored."""
 
 
 def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> xr.DataTree:
-    """Return the trace with the modes before and after updating stored in it."""
+    """Return the trace with the modes before and after updating added to it."""
     states = states_of(trace, problem, maxima)
     with phase("modes", len(states)):
         return with_group(trace, GROUP, modal_states(problem, states))
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return the parameter vectors to compare, by name: start, posterior mean, and highest maximum if known."""
+    """Return the parameter vectors to compare: starting point, posterior mean, and highest maximum if known."""
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
         states[MAXIMUM] = maxima[0].theta
@@ -62,14 +62,14 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     ----------
     problem : UpdatingProblem
     states : mapping of str to array_like, shape (ndim,)
-        Parameter vectors in SI units, by name; shapes are compared with the shapes of the first state.
+        Parameter vectors in SI units, by name; mode shapes are compared with those of the first state.
 
     Returns
     -------
     xarray.Dataset
         - ``theta`` (state, parameter), and ``frequency`` (state, mode), Hz, paired with the measured modes.
-        - For a structure defined by its matrices also ``mac`` (state, reference_mode, mode): the MAC with the
-          measured shapes at the sensors or, without measured shapes, with the shapes of the first state at all
+        - For a structure with system matrices also ``mac`` (state, reference_mode, mode): the MAC with the
+          measured shapes at the sensors or, without measured shapes, with the first state's shapes at all
           translations, as stated in ``mac.attrs["reference"]``.
         - If shapes were measured, also ``component`` (state, mode, place), the computed shapes at the sensors, and
           ``measured`` (mode, place).
@@ -115,7 +115,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 
 
 def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, Any]:
-    """Return the shapes at the sensors in all tests, and their MAC with the measured shapes."""
+    """Return computed and measured mode shapes at the sensors in all tests, and their MAC."""
     seen = problem.model.observed(problem.model_parameters(theta)).shapes
     measured = np.asarray(problem.data.shapes)
     pairs = [mac(seen[:, :, [k]], measured[:, [k]])[:, 0, 0] for k in range(measured.shape[1])]
@@ -129,7 +129,7 @@ def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, A
 
 
 def _align_signs(shapes: FloatArray) -> FloatArray:
-    """Return shapes (states, n_dof, n_modes) with the signs of the shapes of the first state."""
+    """Flip mode shapes (states, n_dof, n_modes) so that their signs agree with the first state's."""
     sign = np.where(np.einsum("sdm,dm->sm", shapes, shapes[0]) < 0, -1.0, 1.0)
     return np.asarray(shapes * sign[:, None, :])
 
@@ -167,7 +167,7 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
 
 
 def _displace_nodes(structure: SeparableModel, shapes: FloatArray) -> FloatArray:
-    """Return displacements (states, n_modes, n_nodes, 3) of drawn nodes for shapes (states, n_dof, n_modes)."""
+    """Return displacements of drawn nodes, (states, n_modes, n_nodes, 3), for shapes (states, n_dof, n_modes)."""
     assert structure.geometry is not None
     row_of_drawn = {int(row): i for i, row in enumerate(structure.geometry.drawn)}
     moved = np.zeros((len(shapes), shapes.shape[2], len(row_of_drawn), 3))
@@ -179,16 +179,16 @@ def _displace_nodes(structure: SeparableModel, shapes: FloatArray) -> FloatArray
 
 
 def _without_sign(sensor: Dof) -> Dof:
-    """Return the degree of freedom that a sensor measures, without the polarity of the sensor."""
+    """Return the degree of freedom that a sensor measures, without the sensor's polarity."""
     return sensor[0], sensor[1].removeprefix("-")
 
 
 def _components(
     structure: SeparableModel, data: ModalData, shapes: FloatArray, size: FloatArray | None = None
 ) -> dict[str, Any]:
-    """Return computed and measured shapes at single points.
+    """Return computed and measured mode shapes at sensors or single points, as dataset variables.
 
-    The computed shapes are divided by `size` (states, n_modes); without it the largest component is 1.
+    The computed shapes are divided by `size` (states, n_modes); without `size`, their largest component is 1.
     """
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}
@@ -215,7 +215,7 @@ def _components(
 
 
 def _sketch_variables(found: Sketch) -> dict[str, Any]:
-    """Return the sketch of a structure as variables of a dataset; see `sketch_of`."""
+    """Return the sketch of a structure as dataset variables, which `sketch_of` reads."""
     variables = {
         "coordinates": (("node", "direction"), found.nodes, {"units": "m"}),
         "ends": (("element", "end"), found.elements),
@@ -231,9 +231,9 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 
 
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
-    """Return a dict with the group of a trace of several tests that `sketch_of` reads; empty without geometry.
+    """Return the trace group of several tests that `sketch_of` reads, in a dict; empty without geometry.
 
-    It shows the structure of the first test.
+    It contains the structure of the first test.
     """
     import xarray as xr
 
@@ -251,7 +251,7 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return the sketch of the structure; None without a geometry, or for a trace of an older version of fmu."""
+    """Return the sketch of the structure, or None without geometry or for a trace of an older version of fmu."""
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:
         return None

@@ -1,7 +1,7 @@
-"""Reading and writing of a tree of data sets as a netCDF-4 file with h5py.
+"""Reading and writing of trees of datasets as netCDF-4 files with h5py.
 
-NetCDF-4 is HDF5 with dimension scales, so that xarray, ArviZ and other programs can read the files. The writer of
-xarray reopens every scale for each of a hundred variables, which takes a second instead of 0.1 s here.
+NetCDF-4 is HDF5 with dimension scales, so xarray, ArviZ and other programs can read the files. The writer in
+xarray takes a second instead of 0.1 s, because it reopens every scale for each of a hundred variables.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _OF_NETCDF = ("_Netcdf4", "_NC")
 
 
 def to_netcdf(tree: xr.DataTree) -> bytes:
-    """Return the content of a netCDF-4 file with the data sets of a tree, as bytes.
+    """Return the content of a netCDF-4 file that stores the datasets of a tree, as bytes.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def to_netcdf(tree: xr.DataTree) -> bytes:
 
 
 def from_netcdf(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Return the tree of data sets in a netCDF-4 file, read into memory.
+    """Read the tree of datasets in a netCDF-4 file into memory.
 
     Raises
     ------
@@ -103,10 +103,10 @@ def _set_attributes(
 
 
 def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield the path and the data set of the group and of every group within it.
+    """Yield the path and the dataset of the group and of every group within it.
 
-    `scales` has the names of the variables of the groups above by their addresses in the file. HDF5 would search
-    the whole file for the name of the scale that an axis refers to.
+    `scales` maps file addresses to the variable names of the parent groups. Without it, HDF5 would search the
+    whole file for the name of the scale that an axis refers to.
     """
     import h5py
 
@@ -120,7 +120,7 @@ def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Ite
 
 
 def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[int, str]) -> xr.Dataset:
-    """Return the data set of a group, given its variables and the names of scales by address."""
+    """Return the dataset of a group, given its variables and the names of scales by address."""
     import xarray as xr
 
     variables, coordinates = {}, set[str]()
@@ -142,7 +142,7 @@ def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[
 
 
 def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
-    """Return the attributes without the ones of the file format; arrays of one number become numbers."""
+    """Drop the attributes that belong to the file format; turn arrays of one number into numbers."""
     return {
         name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()

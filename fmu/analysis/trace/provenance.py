@@ -1,4 +1,4 @@
-"""Provenance of a trace: settings, versions and a hash of everything that determines the draws."""
+"""Provenance of a trace: settings, versions, and a hash of everything that determines the draws."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")
 def canonical_json(value: object) -> str:
     """Return `value` as canonical JSON: sorted keys, no spaces, shortest floats that round-trip.
 
-    NumPy scalars and arrays are written as numbers and lists, and tuples as lists.
+    NumPy scalars and arrays become numbers and lists, and tuples become lists.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def canonical_json(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a NumPy array or scalar as nested lists or a number. Raise TypeError for anything else."""
+    """Convert a NumPy array or scalar to nested lists or a number. Raise TypeError for anything else."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"a configuration must hold JSON values and NumPy arrays only (got {type(value).__name__})")
@@ -44,7 +44,7 @@ def _plain(value: object) -> object:
 def describe_inputs(
     density: LogDensity, sampler: str, settings: Mapping[str, object], run: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return a dict of the inputs that determine the draws: problem, sampler with settings, and run arguments."""
+    """Return the inputs that determine the draws: problem, sampler with settings, and run arguments."""
     describe = getattr(density, "configuration", None)
     problem = (
         describe()
@@ -55,9 +55,9 @@ def describe_inputs(
 
 
 def configuration(result: RunResult, density: LogDensity, start: object = None) -> dict[str, object]:
-    """Return a dict of everything that determines the draws of a run.
+    """Return everything that determines the draws of a run, as a dict.
 
-    `start` describes the starting points of the chains, if ``result.init`` does not.
+    `start` describes the starting points of the chains if ``result.init`` does not.
     """
     run = {
         "draws": result.draws,
@@ -72,12 +72,12 @@ def configuration(result: RunResult, density: LogDensity, start: object = None) 
 
 
 def configuration_hash(settings: object) -> str:
-    """Return the SHA-256 (hexadecimal) of the canonical JSON of `settings`."""
+    """Return the hexadecimal SHA-256 hash of the canonical JSON of `settings`."""
     return hashlib.sha256(canonical_json(settings).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
-    """Return a dict of the versions of Python and of the packages that affect the numbers."""
+    """Return the versions of Python and of the packages that affect the numbers, by name."""
     return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
@@ -90,12 +90,12 @@ def _solver(density: LogDensity) -> str:
 
 
 def attributes(result: RunResult, density: LogDensity, start: object = None) -> dict[str, str | int | float]:
-    """Return the attributes of the root of a trace, all numbers or text, as netCDF requires.
+    """Return the root attributes of a trace, which are numbers or text, as netCDF requires.
 
-    ``n_solves`` and ``n_gradients`` count the solves and gradients of the retained draws, ``warmup_n_solves`` and
-    ``warmup_n_gradients`` those of the warm-up. ``wall_s`` is the time of sampling in seconds, warm-up included,
-    and ``created_at`` is the UTC time at its end. ``solver`` is the library that factorises the matrices of the
-    full model.
+    ``n_solves`` and ``n_gradients`` count the solves and gradients of the retained draws; ``warmup_n_solves`` and
+    ``warmup_n_gradients`` count them for the warm-up. ``wall_s`` is the sampling time in seconds, warm-up
+    included, and ``created_at`` is the UTC time at its end. ``solver`` is the library that factorises the full
+    model's matrices.
     """
     settings = configuration(result, density, start)
     costs = {

@@ -1,4 +1,4 @@
-"""Functions that read a trace: parameters, draws, walkers, and groups that not every trace has.
+"""Functions that read a trace: parameters, draws, walkers, and optional groups.
 
 Some groups and variables are missing in traces of older versions, of other samplers and of plain log-densities.
 """
@@ -39,23 +39,23 @@ def check_trace(trace: object, origin: str = "trace") -> None:
 
 
 def has(trace: xr.DataTree, group: str, variable: str | None = None) -> bool:
-    """Return True if a trace has a group and, if given, a variable in this group."""
+    """Return True if a trace contains a group and, if given, a variable in this group."""
     return group in trace.children and (variable is None or variable in trace[group])
 
 
 def is_pseudo(trace: xr.DataTree) -> bool:
-    """Return True for a trace of the modal residual, whose pseudo-likelihood is not a density of the data."""
+    """Return True if the likelihood is the modal residual, which is not a probability density of the data."""
     return has(trace, "log_likelihood", "residual")
 
 
 def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
-    """Return a variable of a group, with one value or array per draw, shape (chains, draws, ...)."""
+    """Return a variable of a trace group as an array of shape (chains, draws, ...)."""
     # .variables[…] takes 1 % of the time of [group][variable] where a group has a thousand variables
     return trace[group].variables[variable].transpose("chain", "draw", ...).to_numpy()
 
 
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
-    """Return `UpdatingProblem.configuration` of the problem, or the stored description of another density."""
+    """Return the problem's `UpdatingProblem.configuration`, or the stored description of another density."""
     found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
     return dict(mapping_in(found) or {})
 
@@ -75,9 +75,9 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the names of the parameters to show in tables and figures.
+    """Return the parameter names to show in tables and figures.
 
-    These are all parameters or, if there are many, all but the scores of tests in a population.
+    These are all parameters or, if there are many, all except the test scores of populations.
     """
     names = parameter_names(trace)
     scores = set(score_names(trace))
@@ -86,9 +86,9 @@ def told_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
-    """Return a dict from parameter names to their roles in a problem of several tests; empty for a single test.
+    """Return each parameter's role in a problem with several tests, by name; empty for a single test.
 
-    A role has three parts: the kind, the parameter of the structure, and the test, group or covariate; see
+    A role has three parts: the kind, the structural parameter, and the test, group or covariate; see
     `fmu.posterior.joint.varies.base.Role`.
     """
     if not has(trace, "constant_data", "role"):
@@ -99,33 +99,33 @@ def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
 
 
 def later_states(trace: xr.DataTree) -> list[str]:
-    """Return the states of the structure other than the reference, in a trace with losses."""
+    """Return the structure's states other than the reference state, from a trace with losses."""
     return [str(state) for state in trace[LOSSES]["state"].to_numpy().tolist()]
 
 
 def is_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return True if a parameter belongs to a later state of the structure, by its loss or its value there."""
+    """Return True if a parameter describes a later state of the structure, by its loss or its value there."""
     kind, _, where = roles_of(trace).get(name, ("", "", ""))
     return kind in ("loss", "group") and has(trace, LOSSES) and where in later_states(trace)
 
 
 def score_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the parameters that are scores of tests in a population."""
+    """Return the names of the test scores: each test's standardised deviation from a population mean."""
     return [name for name, (kind, *_) in roles_of(trace).items() if kind == "score"]
 
 
 def sds_of_population(trace: xr.DataTree, name: str) -> dict[str, str]:
-    """Return the names of the standard deviations of the population of parameter `name`, by group of tests.
+    """Return the names of the population standard deviations of parameter `name`, by group of tests.
 
-    The group is an empty string if all tests have the same standard deviation; the dict is empty without a
-    population.
+    The group is an empty string if all tests share one standard deviation; the dict is empty if the parameter has
+    no population.
     """
     every = [(where, k) for k, (kind, of, where) in roles_of(trace).items() if kind == "sd" and of == name]
     return {where: k for where, k in every if where} or dict(every[:1])
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:
-    """Return the trace with only the parameters of `told_names`; the group ``tests`` has the rest by test."""
+    """Return the trace with only the parameters of `told_names`; the group ``tests`` still has all tests."""
     chosen = list(told_names(trace))
     if len(chosen) == len(parameter_names(trace)):
         return trace
@@ -146,12 +146,12 @@ def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def parameter_draws(trace: xr.DataTree) -> FloatArray:
-    """Return the retained draws, shape (chains, draws, ndim), SI units."""
+    """Return the retained draws in SI units, shape (chains, draws, ndim)."""
     return np.stack([array_of(trace, "posterior", name) for name in parameter_names(trace)], axis=-1)
 
 
 def constant(trace: xr.DataTree, which: str, name: str) -> float:
-    """Return the ``"lower"`` bound, the ``"upper"`` bound or the ``"start"`` of a parameter, SI units.
+    """Return the ``"lower"`` bound, ``"upper"`` bound or ``"start"`` value of a parameter in SI units.
 
     Return NaN if the trace does not store this value.
     """
@@ -161,7 +161,7 @@ def constant(trace: xr.DataTree, which: str, name: str) -> float:
 
 
 def in_solves[Count: (float, FloatArray)](trace: xr.DataTree, n_solves: Count, n_gradients: Count) -> Count:
-    """Return a cost in solves: the number of log-probabilities that would have taken the same time.
+    """Convert a cost to solves: the number of log-probability evaluations that take the same time.
 
     An exact gradient, which is also counted as one solve, costs as much as ``trace.attrs["gradient_cost"]``
     solves. This ratio was measured at the end of the run; in a trace without it, a gradient costs one solve.
@@ -170,18 +170,18 @@ def in_solves[Count: (float, FloatArray)](trace: xr.DataTree, n_solves: Count, n
 
 
 def used_modes(trace: xr.DataTree) -> BoolArray:
-    """Return whether each measured mode was used in updating, shape (n_modes,)."""
+    """Return a mask of the measured modes that were used in updating, shape (n_modes,)."""
     observed = trace["observed_data"]
     return np.asarray(observed["used"] if "used" in observed else np.ones(observed.sizes["mode"], dtype=bool))
 
 
 def modes_are_data(trace: xr.DataTree) -> bool:
-    """Return True if any measured mode was used in updating, False if only other data such as FRFs were."""
+    """Return True if any measured mode was used in updating, False if only other data were, such as FRFs."""
     return bool(used_modes(trace).any())
 
 
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the measured modes; modes that were not used in updating are marked if others were."""
+    """Return the names of the measured modes; unused modes are marked unless all modes are unused."""
     labels, are_data = trace["observed_data"]["mode"].to_numpy(), modes_are_data(trace)
     return [
         str(label) if used or not are_data else f"{label} (not used)"
@@ -190,7 +190,7 @@ def mode_names(trace: xr.DataTree) -> list[str]:
 
 
 def walkers_of(trace: xr.DataTree) -> int:
-    """Return the number of walkers of an ensemble; 1 if each chain is a single point."""
+    """Return the number of walkers in each ensemble; 1 for a sampler with ordinary chains."""
     return int(trace.attrs["walkers"])
 
 
