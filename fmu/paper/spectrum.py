@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.modal import frequency_hz, solve_spectrum
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.types import FloatArray, StrArray
 
@@ -49,7 +49,7 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
     The parameters are `theta`, shape (ndim,), SI units.
     """
     structure = _structure(problem)
-    modes = structure.blocks.spectrum(theta[np.newaxis], count)
+    modes = solve_spectrum(structure.blocks, theta[np.newaxis], count)
     return list(
         zip(_names(structure, modes)[0].tolist(), frequency_hz(modes.eigenvalues)[0].tolist(), strict=True)
     )

@@ -10,7 +10,7 @@ import numpy as np
 import fmu
 from fmu.fem.frame.components import ElementGroup
 from fmu.fem.frame.frame import Frame
-from fmu.fem.modes.modal import BlockModel, frequency_hz
+from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.reduction.region import plausible_points
@@ -71,5 +71,5 @@ def beam_of_size(size):
     full, trained = problem.model.truth.blocks[b], problem.model.cheap.blocks[b].n_trained
     blown_up = ReducedBlock(full, full.modes(problem.start[None], size)[1][0], trained)
     blocks = tuple(blown_up if i == b else other for i, other in enumerate(problem.model.cheap.blocks))
-    problem.model.cheap.solve = partial(problem.model.pairing.solve, BlockModel(blocks, 8))
+    problem.model.cheap.solve = partial(problem.model.pairing.solve, blocks)
     return problem

@@ -92,13 +92,13 @@ def examined(case: Case) -> Found:
     theta = points[np.random.default_rng(SEED).permutation(len(points))[: case.points]]
     bound = FrequencyBound(full, reduced, case.lower, case.upper, {})
     error, limit, rounding = [], [], []
-    for b, block in enumerate(reduced.blocks):
+    for b, block in enumerate(reduced):
         if not isinstance(block, ReducedBlock):
             continue
         labels = np.broadcast_to(np.arange(block.n_trained), (len(theta), block.n_trained))
         for first in range(0, len(theta), AT_ONCE):
             rows = slice(first, first + AT_ONCE)
-            exact = full.blocks[b].eigenvalues(theta[rows], block.n_trained)
+            exact = full[b].eigenvalues(theta[rows], block.n_trained)
             found = block.eigenvalues(theta[rows], block.n_modes)
             modes = ModalSolution(exact, None, np.full_like(labels[rows], b), labels[rows])
             kept = np.isfinite(exact) & ~is_rigid(exact)
@@ -110,7 +110,7 @@ def examined(case: Case) -> Found:
     clear = errors > 10.0 * lost
     return Found(
         case.name,
-        sum(len(block.dofs) for block in full.blocks),
+        sum(len(block.dofs) for block in full),
         len(case.lower),
         sum(case.structure.sizes),
         len(theta),

@@ -11,7 +11,16 @@ import numpy as np
 
 from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasured, unlike, warn_of_order
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.modal import ModalSolution, frequency_hz, is_rigid, mac, single_thread
+from fmu.fem.modes.modal import (
+    ModalSolution,
+    count_modes,
+    frequency_hz,
+    is_rigid,
+    join_shapes,
+    mac,
+    single_thread,
+    solve_spectrum,
+)
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.correlation import Correlation, close_groups
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
@@ -174,7 +183,7 @@ def _of_structure(
     spectrum, paired = _spectrum(model, point)
     frequencies = frequency_hz(spectrum.eigenvalues[0])
     with single_thread():
-        shapes = model.blocks.shapes(point[None], spectrum)
+        shapes = join_shapes(model.blocks, point[None], spectrum)
     observation = model.structure.observation(problem.data.sensors) if problem.data.sensors else None
     seen = _find_seen(model, shapes, observation, spectrum.eigenvalues[0])
     moves = _moves(model, point, shapes)
@@ -249,11 +258,11 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution,
     """Return the lowest modes, up to two beyond the last paired one, and the columns of the paired modes."""
     pairs = model.modes(point[None])
     wanted = list(zip(pairs.block[0].tolist(), pairs.rank[0].tolist(), strict=True))
-    total = model.blocks.n_modes
+    total = count_modes(model.blocks)
     count = min(total, 2 * model.n_modes + _BEYOND)
     while True:
         with single_thread():
-            spectrum = model.blocks.spectrum(point[None], count)
+            spectrum = solve_spectrum(model.blocks, point[None], count)
         column = {
             key: i for i, key in enumerate(zip(spectrum.block[0].tolist(), spectrum.rank[0].tolist(), strict=True))
         }

@@ -15,7 +15,7 @@ from fmu.engines.base import Engine, Work
 from fmu.fem.modes.block import Block
 from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank
-from fmu.fem.modes.modal import BlockModel, single_thread
+from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor, unit_diagonal
 from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes
@@ -33,9 +33,9 @@ _VECTORS = 120
 _RECOMPUTED = ("_stacks",)
 
 
-def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
-    """Return the model that consists of the unreduced blocks of `model`."""
-    return BlockModel(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
+def full_blocks(model: SeparableModel) -> tuple[FullBlock, ...]:
+    """Return the unreduced blocks of `model`."""
+    return tuple(FullBlock(model, dofs) for dofs in model.blocks)
 
 
 class FullBlock(Block):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -119,87 +119,68 @@ class ModalSolution:
         return ModalSolution(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
 
 
-@dataclass(frozen=True, eq=False)
-class BlockModel[Part: Block]:
-    """A structure as its independent blocks, full (`fmu.fem.modes.full_block.full_model`) or reduced.
+def count_modes(blocks: Sequence[Block]) -> int:
+    """Return the number of modes with a finite frequency of a structure that consists of `blocks`."""
+    return sum(block.n_modes for block in blocks)
 
-    Attributes
-    ----------
-    blocks : tuple of Block
-    n_parameters : int
+
+def solve_spectrum(
+    blocks: Sequence[Block], theta: FloatArray, count: int, gradient: bool = False
+) -> ModalSolution:
+    """Return the lowest `count` modes of the whole structure, sorted over all its `blocks`.
+
+    A reduced block gives only the modes that it was trained for. Where a further mode of a reduced block might
+    be among the lowest modes at a theta, the row of that theta is NaN, and the full model is needed there.
+
+    Raises
+    ------
+    ValueError
+        If the structure has fewer than `count` modes.
     """
+    available = sum(min(count, block.n_modes) for block in blocks)
+    if not 1 <= count <= available:
+        raise ValueError(f"count: must lie in 1..{available}, the modes of the structure (got {count})")
+    values, slopes = [], []
+    for block in blocks:
+        n_trained = min(count, block.n_trained)
+        if gradient:
+            lam, phi = block.modes(theta, n_trained)
+            slopes.append(block.eigenvalue_gradient(theta, lam, phi))
+        else:
+            lam = block.eigenvalues(theta, n_trained)
+        values.append(lam)
+    merged = np.concatenate(values, axis=1)
+    order = np.argsort(merged, axis=1, kind="stable")[:, :count]
+    row = np.arange(len(theta))[:, None]
+    lowest = merged[row, order]
+    known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last, so that the modes above would move down
+    for block, lam in zip(blocks, values, strict=True):
+        if lam.shape[1] < min(count, block.n_modes):
+            known &= lowest[:, -1] < lam[:, -1]
+    if np.count_nonzero(known) < len(known):
+        lowest[~known] = np.nan
+    widths = [lam.shape[1] for lam in values]
+    owner, rank = np.repeat(np.arange(len(widths)), widths), np.concatenate([np.arange(w) for w in widths])
+    chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
+    return ModalSolution(lowest, chosen, owner[order], rank[order])
 
-    blocks: tuple[Part, ...]
-    n_parameters: int
 
-    def __iter__(self) -> Iterator[Part]:
-        return iter(self.blocks)
+def join_shapes(
+    blocks: Sequence[Block], theta: FloatArray, modes: ModalSolution, counts: Mapping[int, int] | None = None
+) -> FloatArray:
+    """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
 
-    def __len__(self) -> int:
-        return len(self.blocks)
-
-    def __getitem__(self, number: int) -> Part:
-        return self.blocks[number]
-
-    @property
-    def n_modes(self) -> int:
-        """Number of modes with a finite frequency."""
-        return sum(block.n_modes for block in self.blocks)
-
-    def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> ModalSolution:
-        """Return the lowest `count` modes of the whole structure, sorted over all blocks.
-
-        A reduced block gives only the modes that it was trained for. Where a further mode of a reduced block might
-        be among the lowest modes at a theta, the row of that theta is NaN, and the full model is needed there.
-
-        Raises
-        ------
-        ValueError
-            If the structure has fewer than `count` modes.
-        """
-        available = sum(min(count, block.n_modes) for block in self.blocks)
-        if not 1 <= count <= available:
-            raise ValueError(f"count: must lie in 1..{available}, the modes of the structure (got {count})")
-        values, slopes = [], []
-        for block in self.blocks:
-            n_trained = min(count, block.n_trained)
-            if gradient:
-                lam, phi = block.modes(theta, n_trained)
-                slopes.append(block.eigenvalue_gradient(theta, lam, phi))
-            else:
-                lam = block.eigenvalues(theta, n_trained)
-            values.append(lam)
-        merged = np.concatenate(values, axis=1)
-        order = np.argsort(merged, axis=1, kind="stable")[:, :count]
-        row = np.arange(len(theta))[:, None]
-        lowest = merged[row, order]
-        known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last, so that the modes above would move down
-        for block, lam in zip(self.blocks, values, strict=True):
-            if lam.shape[1] < min(count, block.n_modes):
-                known &= lowest[:, -1] < lam[:, -1]
-        if np.count_nonzero(known) < len(known):
-            lowest[~known] = np.nan
-        widths = [lam.shape[1] for lam in values]
-        owner, rank = np.repeat(np.arange(len(widths)), widths), np.concatenate([np.arange(w) for w in widths])
-        chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
-        return ModalSolution(lowest, chosen, owner[order], rank[order])
-
-    def shapes(
-        self, theta: FloatArray, modes: ModalSolution, counts: Mapping[int, int] | None = None
-    ) -> FloatArray:
-        """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
-
-        For full blocks only. A shape is zero in every block but its own; its sign is that of `fix_sign`. `counts`
-        gives the number of modes of each block that were solved for to find `modes`, if it is known; the blocks
-        are then not solved again.
-        """
-        block, rank = modes.block[0], modes.rank[0]
-        shapes = np.zeros((sum(len(of.dofs) for of in self.blocks), len(block)))
-        for b in np.unique(block):
-            columns = np.flatnonzero(block == b)
-            _, phi = self.blocks[b].modes(theta, (counts or {}).get(int(b), int(rank[columns].max()) + 1))
-            shapes[np.ix_(self.blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
-        return fix_sign(shapes)
+    For full blocks only. A shape is zero in every block but its own; its sign is that of `fix_sign`. `counts`
+    gives the number of modes of each block that were solved for to find `modes`, if it is known; the blocks
+    are then not solved again.
+    """
+    block, rank = modes.block[0], modes.rank[0]
+    shapes = np.zeros((sum(len(of.dofs) for of in blocks), len(block)))
+    for b in np.unique(block):
+        columns = np.flatnonzero(block == b)
+        _, phi = blocks[b].modes(theta, (counts or {}).get(int(b), int(rank[columns].max()) + 1))
+        shapes[np.ix_(blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
+    return fix_sign(shapes)
 
 
 class _OneThread:

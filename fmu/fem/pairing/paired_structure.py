@@ -10,10 +10,17 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.block import Observation
+from fmu.fem.modes.block import Block, Observation
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
-from fmu.fem.modes.full_block import FullBlock, full_model
-from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
+from fmu.fem.modes.full_block import FullBlock, full_blocks
+from fmu.fem.modes.modal import (
+    ModalSolution,
+    count_modes,
+    frequency_gradient,
+    frequency_hz,
+    join_shapes,
+    single_thread,
+)
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.solver import LAPACK, Matrix, sparse_solver
 from fmu.fem.pairing.modal_model import ModalModel
@@ -41,7 +48,7 @@ class PairedStructure(ModalModel):
     Parameters
     ----------
     structure : SeparableModel
-    blocks : BlockModel
+    blocks : tuple of Block
         Blocks of the structure that are solved, full or reduced.
     rule : IndexPairing or ShapePairing
     n_modes : int
@@ -69,7 +76,7 @@ class PairedStructure(ModalModel):
     def __init__(
         self,
         structure: SeparableModel,
-        blocks: BlockModel,
+        blocks: tuple[Block, ...],
         rule: IndexPairing | ShapePairing,
         n_modes: int,
         sensors: sp.csr_array,
@@ -140,11 +147,12 @@ class PairedStructure(ModalModel):
         """
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
-        full, n_modes = full_model(model), len(numbers)
-        if full.n_modes < n_modes:
+        full, n_modes = full_blocks(model), len(numbers)
+        available = count_modes(full)
+        if available < n_modes:
             raise ValueError(
                 f"mass: the {n_modes} measured modes need as many of finite frequency: the mass matrix gives "
-                f"{full.n_modes}; give mass to more degrees of freedom"
+                f"{available}; give mass to more degrees of freedom"
             )
         seen = model.observation(sensors)
         rule: IndexPairing | ShapePairing
@@ -155,8 +163,8 @@ class PairedStructure(ModalModel):
                     n_rigid = count_rigid(full, reference, n_modes, elastic_from_hz)
             numbers = tuple(number + n_rigid for number in numbers)
             rule = IndexPairing(numbers, n_rigid)
-            if max(numbers) > full.n_modes:
-                raise ValueError(f"numbers: must lie in 1..{full.n_modes}, the modes of the model (got {numbers})")
+            if max(numbers) > available:
+                raise ValueError(f"numbers: must lie in 1..{available}, the modes of the model (got {numbers})")
             return cls(model, full, rule, n_modes, seen, shapes is not None)
         with single_thread():
             if shapes is not None:
@@ -172,12 +180,14 @@ class PairedStructure(ModalModel):
     @property
     def full_blocks(self) -> tuple[FullBlock, ...]:  # type: ignore[override]
         """The blocks that are not reduced."""
-        return tuple(block for block in self.blocks if not block.is_reduced)
+        return tuple(block for block in self.blocks if isinstance(block, FullBlock))
 
     def __repr__(self) -> str:
         return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__})"
 
-    def solved_by(self, blocks: BlockModel, pairing: IndexPairing | ShapePairing | RankPairing) -> PairedStructure:
+    def solved_by(
+        self, blocks: tuple[Block, ...], pairing: IndexPairing | ShapePairing | RankPairing
+    ) -> PairedStructure:
         """Return the same structure and measured modes, solved with other blocks and another pairing."""
         own = (self.rule, self.n_modes, self._sensors, self._at_sensors)
         return PairedStructure(self.structure, blocks, *own, pairing)
@@ -314,7 +324,7 @@ class PairedStructure(ModalModel):
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)
         with single_thread():
-            return self.blocks.shapes(point, modes, self.rule.counts(self.blocks))
+            return join_shapes(self.blocks, point, modes, self.rule.counts(self.blocks))
 
     def fingerprint(self) -> str:
         """Return a hash of all data on which the frequencies depend."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.fem.modes.block import BlockPrediction, Observation, Solved
-from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
+from fmu.fem.modes.block import Block, BlockPrediction, Observation, Solved
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.solver import Matrix
 from fmu.fem.pairing.rules import ShapePairing
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -103,7 +103,7 @@ def join_batches[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
 
 
 def predict_modes(
-    model: BlockModel,
+    blocks: Sequence[Block],
     located: tuple[IntArray, IntArray, Solved],
     rows: Sequence[Matrix],
     theta: FloatArray,
@@ -113,7 +113,7 @@ def predict_modes(
 
     Parameters
     ----------
-    model : BlockModel
+    blocks : sequence of Block
     located : tuple
         The result of `fmu.fem.pairing.rules.Pairing.locate` at theta.
     rows : sequence of array or sparse, each of shape (n_sensors, size)
@@ -123,7 +123,7 @@ def predict_modes(
     """
     block, rank, solved = located
     n, m = block.shape
-    q, p = rows[0].shape[0], model.n_parameters
+    q, p = rows[0].shape[0], blocks[0].n_parameters
     seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, q, m), np.nan))
     if gradient:
         seen = seen._replace(
@@ -133,7 +133,7 @@ def predict_modes(
         row, column = np.nonzero(block == b)
         ranks = rank[row, column]
         count = int(ranks.max()) + 1
-        found = model.blocks[b].seen(theta, count, rows[b], gradient, solved.get(int(b)))
+        found = blocks[b].seen(theta, count, rows[b], gradient, solved.get(int(b)))
         seen.eigenvalues[row, column] = found.eigenvalues[row, ranks]
         seen.shapes[row, :, column] = found.shapes[row, :, ranks]
         if gradient:
@@ -147,7 +147,7 @@ def predict_modes(
 
 
 def predict_candidates(
-    model: BlockModel,
+    blocks: Sequence[Block],
     rule: ShapePairing,
     compared: Mapping[int, Observation],
     at_sensors: bool,
@@ -158,7 +158,7 @@ def predict_candidates(
 
     Parameters
     ----------
-    model : BlockModel
+    blocks : sequence of Block
     rule : ShapePairing
     compared : mapping of int to Observation
         The coordinates of comparison of each block, and the references there.
@@ -172,7 +172,7 @@ def predict_candidates(
     kept = slice(None) if at_sensors else slice(0)
     parts = []
     for b, (rows, reference) in compared.items():
-        seen = model.blocks[b].seen(theta, rule.n_candidates(model, b), rows, gradient)
+        seen = blocks[b].seen(theta, rule.n_candidates(blocks, b), rows, gradient)
         f = frequency_hz(seen.eigenvalues)
         mac, mac_slopes = _compare(reference, reference_size, seen)
         part = Candidates(f, seen.shapes[:, kept], mac)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.modal import BlockModel, is_rigid
+from fmu.fem.modes.block import Block
+from fmu.fem.modes.modal import count_modes, is_rigid, join_shapes, solve_spectrum
 from fmu.fem.pairing.rules import SPARE, ShapePairing
 from fmu.types import FloatArray, IntArray
 
@@ -14,7 +17,7 @@ _FAR_BELOW = 1e-3
 
 
 def reference_modes(
-    model: BlockModel,
+    blocks: Sequence[Block],
     theta: FloatArray,
     sensors: sp.csr_array,
     rows: sp.csr_array,
@@ -28,7 +31,7 @@ def reference_modes(
 
     Parameters
     ----------
-    model : BlockModel
+    blocks : sequence of Block
         Unreduced.
     theta : ndarray, shape (n_parameters,)
         Parameters of the reference model, usually those before updating.
@@ -45,10 +48,10 @@ def reference_modes(
         If the sensors see too few modes.
     """
     picked = counterparts or tuple(range(1, n_modes + 1))
-    n_total = model.n_modes
+    n_total = count_modes(blocks)
     count = min(max(picked) + SPARE, n_total)
     while True:
-        shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
+        shapes, ranks = _visible_modes(blocks, theta, sensors, rows, count)
         if len(shapes) >= max(picked):
             columns = np.array(picked) - 1
             margin = SPARE + max(0, int(ranks[columns].max()) + 1 - n_modes)
@@ -59,25 +62,25 @@ def reference_modes(
         count = min(2 * count, n_total)
 
 
-def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
+def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
     """Return the number of rigid-body modes below the elastic modes at theta (n_parameters,).
 
     If there is a very stiff spring, every other mode has a vanishing share of the highest frequency. If a measured
     frequency `elastic_hz` is given, a rigid-body mode must therefore have a vanishing share of that frequency too.
     """
-    count = min(n_modes + 7, model.n_modes)  # at most six rigid-body modes, and one elastic mode
-    lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
+    count = min(n_modes + 7, count_modes(blocks))  # at most six rigid-body modes, and one elastic mode
+    lam = solve_spectrum(blocks, np.atleast_2d(theta), count).eigenvalues[0]
     is_far_below = lam <= (_FAR_BELOW * 2.0 * np.pi * elastic_hz) ** 2
     return int(np.sum(is_rigid(lam) & is_far_below))
 
 
 def _visible_modes(
-    model: BlockModel, theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
+    blocks: Sequence[Block], theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
 ) -> tuple[FloatArray, IntArray]:
     """Return shapes (n, q) at `rows`, and ranks (n,) in their blocks, of elastic modes that sensors see."""
     point = np.atleast_2d(theta)
-    spectrum = model.spectrum(point, count)
-    shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
+    spectrum = solve_spectrum(blocks, point, count)
+    shapes = np.ascontiguousarray(join_shapes(blocks, point, spectrum).T)
     compared, seen = shapes @ rows.T, shapes @ sensors.T
     # mass-normalised shapes have similar sizes: a shape that is tiny at the sensors is only rounding there
     elastic = ~is_rigid(spectrum.eigenvalues[0])

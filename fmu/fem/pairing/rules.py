@@ -9,7 +9,7 @@ be constant, each mode has a fixed rank within its block, and eigenvalues suffic
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal
@@ -17,8 +17,8 @@ from typing import ClassVar, Literal
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.block import Observation, Solved, shapes_at
-from fmu.fem.modes.modal import BlockModel, ModalSolution
+from fmu.fem.modes.block import Block, Observation, Solved, shapes_at
+from fmu.fem.modes.modal import ModalSolution, solve_spectrum
 from fmu.types import FloatArray, IntArray
 
 SPARE = 3
@@ -42,17 +42,17 @@ class Pairing(ABC):
 
     is_constant: ClassVar[bool] = False
 
-    def observe(self, model: BlockModel) -> dict[int, Observation]:
+    def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
         """Return a dict from each block whose shapes are compared to its `Observation`; empty without shapes."""
         return {}
 
     @abstractmethod
-    def counts(self, model: BlockModel) -> dict[int, int]:
+    def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
         """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
 
     @abstractmethod
     def solve(
-        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with eigenvalue gradients if `gradient`.
 
@@ -61,7 +61,7 @@ class Pairing(ABC):
 
     @abstractmethod
     def locate(
-        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved for.
 
@@ -78,7 +78,7 @@ class RankPairing(Pairing):
     rank: tuple[int, ...]
     is_constant: ClassVar[bool] = True
 
-    def counts(self, model: BlockModel) -> dict[int, int]:
+    def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
         """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
@@ -108,25 +108,25 @@ class RankPairing(Pairing):
         return np.argsort(np.concatenate(self._columns))
 
     def solve(
-        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
         """Return the paired modes, solved for in their blocks only, and for shapes only with `gradient`."""
         values, slopes = [], []
         for b, count, ranks in self._parts:
-            block = model.blocks[b]
+            block = blocks[b]
             if gradient:
                 lam, phi = block.modes(theta, count)
                 slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
             else:
                 lam = block.eigenvalues(theta, count)
             values.append(lam[:, ranks])
-        owner, rank, _ = self.locate(model, theta, gradient)
+        owner, rank, _ = self.locate(blocks, theta, gradient)
         return ModalSolution(
             self._join_columns(values), self._join_columns(slopes) if gradient else None, owner, rank
         )
 
     def locate(
-        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m), and an empty dict."""
         block, rank = self._labels
@@ -166,28 +166,28 @@ class IndexPairing(Pairing):
             raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
 
     def solve(
-        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
         """Return the modes of these numbers in the spectra of all blocks, sorted together."""
-        return model.spectrum(theta, max(self.numbers), gradient).columns(np.array(self.numbers) - 1)
+        return solve_spectrum(blocks, theta, max(self.numbers), gradient).columns(np.array(self.numbers) - 1)
 
     def locate(
-        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the paired modes; see `Pairing`."""
-        if len(model.blocks) == 1:  # a number is a rank, so that nothing is solved for
+        if len(blocks) == 1:  # a number is a rank, so that nothing is solved for
             rank = np.tile(np.array(self.numbers) - 1, (len(theta), 1))
             return np.zeros_like(rank), rank, {}
-        modes = self.solve(model, theta)
+        modes = self.solve(blocks, theta)
         failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
         return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
 
-    def counts(self, model: BlockModel) -> dict[int, int]:
+    def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
         """Return a dict from block index to the number of its lowest modes that may be paired."""
-        return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
+        return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(blocks) if block.n_modes}
 
     def find_needed(
-        self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
+        self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
         """Return None and a dict of the modes needed per block; see `ShapePairing.find_needed`."""
         values = [eigenvalues[b] for b in sorted(eigenvalues)]
@@ -226,54 +226,54 @@ class ShapePairing(Pairing):
     softness = 0.0
 
     def solve(
-        self, model: BlockModel, theta: FloatArray, gradient: bool = False, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
         """Return the modes assigned by MAC among the modes of every block in which a reference moves."""
-        solved, merged, (block, rank, column) = self._solve(model, theta, False, observed)
+        solved, merged, (block, rank, column) = self._solve(blocks, theta, False, observed)
         # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
         lam = np.take_along_axis(merged, column, axis=1)
         if not gradient:
             return ModalSolution(lam, None, block, rank)
         slopes = np.concatenate(
-            [model.blocks[b].eigenvalue_gradient(theta, *modes) for b, modes in solved.items()], axis=1
+            [blocks[b].eigenvalue_gradient(theta, *modes) for b, modes in solved.items()], axis=1
         )
         return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
 
     def locate(
-        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed = None
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the paired modes, and the modes of the blocks solved for; see `Pairing`."""
-        solved, merged, (owner, rank, _) = self._solve(model, theta, gradient, observed)
+        solved, merged, (owner, rank, _) = self._solve(blocks, theta, gradient, observed)
         failed = np.isnan(merged).any(axis=1, keepdims=True)
         return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
 
     def _solve(
-        self, model: BlockModel, theta: FloatArray, gradient: bool, observed: Observed
+        self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed
     ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
         """Return the modes of each block, the eigenvalues of all candidates, and the result of `assign_modes`."""
-        observed = self.observe(model) if observed is None else observed
+        observed = self.observe(blocks) if observed is None else observed
         solved: Solved = {}
         values, shapes = [], {}
         for b in observed:
-            block, count = model.blocks[b], self.n_candidates(model, b)
+            block, count = blocks[b], self.n_candidates(blocks, b)
             lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
             values.append(lam[:, :count])
             shapes[b] = phi[:, :, :count]
         return solved, np.concatenate(values, axis=1), self.assign_modes(observed, shapes)
 
-    def n_candidates(self, model: BlockModel, b: int) -> int:
+    def n_candidates(self, blocks: Sequence[Block], b: int) -> int:
         """Return the number of modes that block `b` offers as candidates."""
-        return min(self.shapes.shape[1] + self.margin, model.blocks[b].n_modes)
+        return min(self.shapes.shape[1] + self.margin, blocks[b].n_modes)
 
-    def counts(self, model: BlockModel) -> dict[int, int]:
+    def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
         """Return a dict from block index to the number of its lowest modes that may be paired."""
-        return {b: self.n_candidates(model, b) for b in self.observe(model)}
+        return {b: self.n_candidates(blocks, b) for b in self.observe(blocks)}
 
-    def observe(self, model: BlockModel) -> dict[int, Observation]:
+    def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
         """Return a dict from each block in which a reference moves to its `Observation` of shapes."""
         observed = {}
-        for b, block in enumerate(model.blocks):
+        for b, block in enumerate(blocks):
             seen = self.rows[:, block.dofs]
             inside = np.flatnonzero(np.diff(seen.indptr))
             if block.n_modes and np.any(self.shapes[inside]):
@@ -281,26 +281,26 @@ class ShapePairing(Pairing):
         return observed
 
     def find_needed(
-        self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
+        self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks if exact, else None, and a dict of the modes needed per block.
 
         Parameters
         ----------
-        model : BlockModel
+        blocks : sequence of Block
         eigenvalues : mapping of int to ndarray, shape (n, n_candidates)
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
             Modes of each block of `counts` at points that cover the parameter box, its corners among them.
         """
-        fixed = self.constant(model, shapes)
+        fixed = self.constant(blocks, shapes)
         if fixed is None:
             return None, {b: lam.shape[1] for b, lam in eigenvalues.items()}
         ranks = list(zip(fixed.block, fixed.rank, strict=True))
         return fixed, {b: 1 + max(r for owner, r in ranks if owner == b) for b in fixed.block}
 
-    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+    def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
         """Return the assignment by MAC as fixed ranks if it is the same at every theta sampled, else None."""
-        observed = self.observe(model)
+        observed = self.observe(blocks)
         found: RankPairing | None = None
         for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):
             part = {b: of_block[first : first + AT_ONCE] for b, of_block in shapes.items()}
@@ -360,7 +360,7 @@ class SoftPairing(ShapePairing):
         if not (np.isfinite(self.softness) and self.softness > 0.0):
             raise ValueError(f"softness: must be positive and finite (got {self.softness})")
 
-    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+    def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
         """Return None: a soft pairing is never constant."""
         return None
 

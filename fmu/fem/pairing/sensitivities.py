@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.fem.modes.block import Block, Solved, shapes_at
-from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz, single_thread
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz, single_thread
 from fmu.fem.modes.solver import Matrix
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -170,7 +170,7 @@ class StructureSensitivities(Sensitivities):
 
     Parameters
     ----------
-    model : BlockModel
+    blocks : sequence of Block
     located : tuple
         The result of `fmu.fem.pairing.rules.Pairing.locate` at theta with `gradient`.
     counts : dict of int to int
@@ -182,7 +182,7 @@ class StructureSensitivities(Sensitivities):
 
     def __init__(
         self,
-        model: BlockModel,
+        blocks: Sequence[Block],
         located: tuple[IntArray, IntArray, Solved],
         counts: dict[int, int],
         theta: FloatArray,
@@ -191,14 +191,14 @@ class StructureSensitivities(Sensitivities):
         self._theta = theta
         owner, rank, solved = located
         eigenvalues = np.full(owner.shape, np.nan)
-        slopes = np.full((*owner.shape, model.n_parameters), np.nan)
+        slopes = np.full((*owner.shape, blocks[0].n_parameters), np.nan)
         if sensors is not None:
             (n, m), q = owner.shape, sensors[0].shape[0]
             self.shapes = np.full((n, q, m), np.nan)
-            self.shape_slopes = np.full((n, q, m, model.n_parameters), np.nan)
+            self.shape_slopes = np.full((n, q, m, blocks[0].n_parameters), np.nan)
         self._parts: list[_Solved] = []
         for b in np.unique(owner[owner >= 0]).tolist():
-            block, count = model.blocks[b], counts[b]
+            block, count = blocks[b], counts[b]
             row, column = np.nonzero(owner == b)
             # one mode more, which shows whether the last one is repeated
             lam, phi = solved.get(b) or block.modes(theta, block.n_required(min(count + 1, block.n_modes), True))

@@ -23,7 +23,6 @@ import scipy.sparse as sp
 from fmu.fem.modes.block import Block
 from fmu.fem.modes.derivatives import CLOSE, by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.stacks import assemble, row_by_row
 from fmu.fem.modes.terms import ParametricMatrix, Term
 from fmu.types import FloatArray
@@ -272,8 +271,8 @@ class ReducedBlock(Block):
         return by_all_modes(lam, phi, dK, dM, count, CLOSE)
 
 
-Parts = BlockModel[FullBlock | ReducedBlock]
-"""A structure in which some blocks may be reduced."""
+Parts = tuple[FullBlock | ReducedBlock, ...]
+"""The blocks of a structure, of which some may be reduced."""
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.solver import LARGE, Factor, Matrix
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.residuals import FrequencyBound, inertia_agrees
@@ -129,14 +128,14 @@ def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArr
     return davidson(A, M, anchors.shift, start.vectors, factor, start.n_wanted, start.n_converged, start.alpha)
 
 
-def confirmed_model(bound: FrequencyBound) -> BlockModel[FullBlock]:
-    """Return the full model of a bound, with large reduced blocks replaced by instances of `ConfirmedBlock`."""
+def confirm_blocks(bound: FrequencyBound) -> tuple[FullBlock, ...]:
+    """Return the full blocks of a bound, with large reduced blocks replaced by instances of `ConfirmedBlock`."""
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:
             blocks[b] = ConfirmedBlock(full, *bound.trial(b))
     changed = any(block.size >= LARGE for block in blocks)
-    return BlockModel(tuple(blocks), bound.full.n_parameters) if changed else bound.full
+    return tuple(blocks) if changed else bound.full
 
 
 def davidson(

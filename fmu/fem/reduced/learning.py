@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from fmu.fem.modes.block import Observation
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID, BlockModel
+from fmu.fem.modes.modal import RIGID
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import compress_rows
@@ -245,7 +245,7 @@ class Learner:
 
 
 def count_needed(
-    full: BlockModel[FullBlock], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
+    full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
 ) -> tuple[RankPairing | None, dict[int, int]]:
     """Return the pairing as fixed ranks, None if that is not exact, and a dict of the modes needed per block."""
     # after a truncation, blocks may have visited different points: only the common earlier points are used
@@ -257,9 +257,8 @@ def count_needed(
     known = np.all([np.isfinite(lam).all(axis=1) for lam, _ in found.values()], axis=0)
     found = {b: (lam[known], y[known]) for b, (lam, y) in found.items()}
     seen = tuple(learners[b] if b in found else block for b, block in enumerate(full))
-    model = BlockModel(seen, full.n_parameters)  # type: ignore[type-var]
     eigenvalues, shapes = ({b: of[i] for b, of in found.items()} for i in (0, 1))
-    return rule.find_needed(model, eigenvalues, shapes)
+    return rule.find_needed(seen, eigenvalues, shapes)  # type: ignore[arg-type]
 
 
 def balance_directions(

@@ -9,7 +9,6 @@ import numpy as np
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.terms import sum_at
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError
@@ -45,8 +44,8 @@ class Trained:
 
     Attributes
     ----------
-    model : BlockModel
-        The reduced model.
+    blocks : tuple of Block
+        The blocks of the reduced model.
     pairing : IndexPairing, ShapePairing or RankPairing
         Rule that pairs its modes with the measured modes.
     lower, upper : ndarray, shape (n_parameters,)
@@ -61,7 +60,7 @@ class Trained:
         The residuals of large blocks, by the block's index.
     """
 
-    model: Parts
+    blocks: Parts
     pairing: IndexPairing | ShapePairing | RankPairing
     lower: FloatArray
     upper: FloatArray
@@ -70,9 +69,9 @@ class Trained:
     elsewhere: float | None = None
     shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
 
-    def bound(self, full: BlockModel[FullBlock]) -> FrequencyBound:
-        """Return the error bounds of the frequencies, against the full model that was reduced."""
-        return FrequencyBound(full, self.model, self.lower, self.upper, self.anchors, self.shared)
+    def bound(self, full: tuple[FullBlock, ...]) -> FrequencyBound:
+        """Return the error bounds of the frequencies, against the full blocks that were reduced."""
+        return FrequencyBound(full, self.blocks, self.lower, self.upper, self.anchors, self.shared)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 from typing import Self
 
@@ -17,7 +16,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, candidate_numbers, frequencies_of
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction, join_batches, with_rows
 from fmu.fem.pairing.sensitivities import JoinedSensitivities, Sensitivities, Steps
-from fmu.fem.reduced.confirming import confirmed_model
+from fmu.fem.reduced.confirming import confirm_blocks
 from fmu.fem.reduced.points import Trained
 from fmu.fem.reduced.training import LOOSE, Training
 from fmu.progress.phases import count_solves
@@ -53,13 +52,13 @@ class ReducedStructure(Approximation):
     _truth: PairedStructure
 
     def __init__(self, truth: PairedStructure, trained: Trained) -> None:
-        super().__init__(truth, truth.solved_by(trained.model, trained.pairing))
+        super().__init__(truth, truth.solved_by(trained.blocks, trained.pairing))
         self.rule, self.pairing = truth.rule, self.cheap.pairing
         self.confirmed, self.elsewhere = trained.confirmed, trained.elsewhere
         # the bounds have shape (1, n_parameters), like one theta, which saves broadcasting in NumPy
         self.lower, self.upper = trained.lower[None], trained.upper[None]
         self._corner = self.lower
-        self._bound = trained.bound(truth.blocks)
+        self._bound = trained.bound(truth.full_blocks)
         self._answer_by(self.cheap)
 
     def _answer_by(self, cheap: PairedStructure) -> None:
@@ -94,7 +93,7 @@ class ReducedStructure(Approximation):
         if all(one is other for one, other in zip(blocks, self.cheap.blocks, strict=True)):
             return self
         other = copy(self)
-        other._answer_by(self._truth.solved_by(replace(self.cheap.blocks, blocks=blocks), self.pairing))
+        other._answer_by(self._truth.solved_by(blocks, self.pairing))
         return other
 
     def extend(self, lower: FloatArray, upper: FloatArray) -> Self:
@@ -190,7 +189,7 @@ class ReducedStructure(Approximation):
 
     @cached_property
     def _confirmed(self) -> PairedStructure:
-        return self._truth.solved_by(confirmed_model(self._bound), self.rule)
+        return self._truth.solved_by(confirm_blocks(self._bound), self.rule)
 
     def frequency_bound(self, theta: FloatArray) -> FloatArray:
         """Return bounds of the relative errors of the reduced model's frequencies, shape (n, n_modes).
@@ -295,14 +294,14 @@ def train(
     """
     with single_thread():
         for left in range(_WIDENED, -1, -1):
-            training = Training(truth.blocks, truth.rule, lower, upper, tolerance)
+            training = Training(truth.full_blocks, truth.rule, lower, upper, tolerance)
             model = ReducedStructure(truth, training.run())
             wider = None if wider_box is None or not left else wider_box(model)
             if wider is None:
                 break
             lower, upper = wider
         if training.is_cut() and region is not None and tolerance < LOOSE:
-            narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE)
+            narrow = Training(truth.full_blocks, truth.rule, lower, upper, LOOSE)
             narrow.run()
             part = None if narrow.is_cut() else _narrow(truth, narrow, tolerance, region)
             if part is not None:
@@ -338,7 +337,7 @@ def train_at(
 
     Its errors at other points are not examined.
     """
-    training = Training(truth.blocks, truth.rule, lower, upper, LOOSE)
+    training = Training(truth.full_blocks, truth.rule, lower, upper, LOOSE)
     with single_thread():
         return ReducedStructure(truth, training.at(theta)), training.state()
 
@@ -348,4 +347,4 @@ def restore(truth: PairedStructure, state: dict[str, FloatArray]) -> ReducedStru
     if "full" in state:
         return truth.kept_full(int(state["full"]))
     with single_thread():
-        return ReducedStructure(truth, Training.restore(truth.blocks, truth.rule, state))
+        return ReducedStructure(truth, Training.restore(truth.full_blocks, truth.rule, state))

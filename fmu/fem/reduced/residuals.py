@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID, BlockModel, ModalSolution
+from fmu.fem.modes.modal import RIGID, ModalSolution
 from fmu.fem.modes.solver import Matrix, factorise
 from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import Parts
@@ -186,7 +186,7 @@ class FrequencyBound:
 
     Parameters
     ----------
-    full, reduced : BlockModel
+    full, reduced : tuple of Block
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     anchors : mapping of int to Anchors
@@ -195,7 +195,7 @@ class FrequencyBound:
         Residuals of reduced blocks, by the index of their block; without them, each residual is solved for.
     """
 
-    full: BlockModel[FullBlock]
+    full: tuple[FullBlock, ...]
     reduced: Parts
     lower: FloatArray
     upper: FloatArray

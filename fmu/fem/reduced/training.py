@@ -16,11 +16,10 @@ import numpy as np
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import BlockModel
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.confirming import confirmed_model
+from fmu.fem.reduced.confirming import confirm_blocks
 from fmu.fem.reduced.cost import Cost
 from fmu.fem.reduced.learning import SHARE, Learner, apart, count_needed, snapshot_basis
 from fmu.fem.reduced.points import (
@@ -66,7 +65,7 @@ class Training:
 
     Parameters
     ----------
-    full : BlockModel
+    full : tuple of FullBlock
     rule : IndexPairing or ShapePairing
         Pairing rule, which determines the modes of each block that are needed.
     lower, upper : ndarray, shape (n_parameters,)
@@ -79,7 +78,7 @@ class Training:
     Within `FullBlock.spread_over`, long solves run in the workers of an engine. The result does not depend on it.
     """
 
-    full: BlockModel[FullBlock]
+    full: tuple[FullBlock, ...]
     rule: IndexPairing | ShapePairing
     lower: FloatArray
     upper: FloatArray
@@ -220,7 +219,7 @@ class Training:
 
     @classmethod
     def restore(
-        cls, full: BlockModel[FullBlock], rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
+        cls, full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
     ) -> Trained:
         """Return the trained model from the arrays that the method `state` returned."""
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
@@ -229,7 +228,7 @@ class Training:
         if "pairing" in state:
             block, rank = state["pairing"].astype(int).tolist()
             training.fixed = RankPairing(tuple(block), tuple(rank))
-        for b in range(len(full.blocks)):
+        for b in range(len(full)):
             if f"basis{b}" in state:
                 n_trained = int(state[f"n_trained{b}"])
                 training.reduced[b] = ReducedBlock(full[b], state[f"basis{b}"], n_trained)
@@ -238,11 +237,10 @@ class Training:
         return training._current()
 
     def _current(self) -> Trained:
-        blocks = tuple(self.reduced.get(b, full) for b, full in enumerate(self.full.blocks))
-        model = BlockModel(blocks, self.full.n_parameters)
+        blocks = tuple(self.reduced.get(b, full) for b, full in enumerate(self.full))
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
         found = self.confirmed, anchors, self.tolerance if self.is_narrow else None, self.shared
-        return Trained(model, self.fixed or self.rule, self.lower, self.upper, *found)
+        return Trained(blocks, self.fixed or self.rule, self.lower, self.upper, *found)
 
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until errors at `enough` consecutive points are small; return True on success."""
@@ -363,7 +361,7 @@ class Training:
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
         # if full solves are expensive, they start from the modes of the basis
-        full = confirmed_model(self._current().bound(self.full))
+        full = confirm_blocks(self._current().bound(self.full))
         exact: dict[int, tuple[FloatArray, FloatArray]] = {}
         with phase("training", len(counts)) as under_way:
             for b, count in counts.items():

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.full_block import full_model
-from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.full_block import full_blocks
+from fmu.fem.modes.modal import frequency_hz, solve_spectrum
 
 SECTION = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
@@ -177,7 +177,7 @@ def test_rounding_in_a_turned_element_does_not_couple_its_planes():
     model = frame.separable()
     # x, y, rz move in the plane; z, rx, ry out of it
     assert sorted(len(b) for b in model.blocks) == [15, 15]
-    split = full_model(frame.separable({"E": [("E", "b")]})).spectrum(np.array([[2.1e11]]), 12)
+    split = solve_spectrum(full_blocks(frame.separable({"E": [("E", "b")]})), np.array([[2.1e11]]), 12)
     assert_allclose(split.eigenvalues[0], eigen(model.K([]), model.M([]), 12)[0], rtol=1e-8)
 
 

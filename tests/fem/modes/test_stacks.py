@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.modes import full_block
 from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.full_block import full_blocks
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.stacks import SMALL, lowest_modes
 
@@ -50,7 +50,7 @@ def test_a_block_gives_each_theta_what_it_gives_it_alone():
     """Whatever else the batch has: free, negative, overflowing and NaN."""
     _, mass = storeys([1.0, 1.0, 1.0], [1.0, 2.0, 1.5])
     terms = [(storeys(row, [1.0] * 3)[0], name) for row, name in zip(np.eye(3), "abc", strict=True)]
-    (block,) = full_model(SeparableModel.from_terms(["a", "b", "c"], terms, [mass])).blocks
+    (block,) = full_blocks(SeparableModel.from_terms(["a", "b", "c"], terms, [mass]))
     easy = np.random.default_rng(1).uniform(1.0, 5.0, (6, 3))
     theta = np.concatenate([easy, [[0.0, 1, 1], [-1.0, 1, 1], [np.nan, 1, 1], [1e308, 1e308, 1e308]]])
     lam, phi = block.modes(theta, 3)
@@ -67,7 +67,7 @@ def test_a_stack_is_asked_where_it_can_answer(monkeypatch):
     asked = []
     monkeypatch.setattr(full_block, "eigen", lambda *given: asked.append(given) or eigen(*given))
     K, M = storeys([2.0, 3.0], [1.0, 1.0])
-    (block,) = full_model(SeparableModel.from_terms(["k"], [(K, "k")], [M])).blocks
+    (block,) = full_blocks(SeparableModel.from_terms(["k"], [(K, "k")], [M]))
     lam, _ = block.modes(np.linspace(1.0, 2.0, 50)[:, None], 2)
     assert not asked
     assert_allclose(lam, np.linspace(1.0, 2.0, 50)[:, None] * np.linalg.eigvalsh(K), rtol=1e-13)

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
-from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.full_block import full_blocks
+from fmu.fem.modes.modal import solve_spectrum
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_structure import PairedStructure
@@ -22,7 +23,7 @@ STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 @pytest.mark.parametrize(("directions", "planes"), [("z", "z"), ("y", "y"), ("x", "x"), ("zy", "zyz")])
 def test_reference_modes_are_those_that_move_a_sensor(directions, planes):
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
-    full = full_model(model)
+    full = full_blocks(model)
     sensors = np.array([model.dof(30, d) for d in directions])
     everywhere = selection(model.translations, model.n_dof)
     pairing = reference_modes(full, np.array([2.1e11]), selection(sensors, model.n_dof), everywhere, len(planes))
@@ -40,11 +41,11 @@ def test_torsion_moves_no_translation_in_any_orientation():
         section = Section.rectangle(width=0.06, height=0.01)
         group = ElementGroup("b", elements, section, STEEL, tuple(rotation[:, 1]))
         model = Frame(nodes, [group], {0: DIRECTIONS}).separable({"E": [("E", "b")]})
-        full = full_model(model)
+        full = full_blocks(model)
         everywhere = selection(model.translations, model.n_dof)
         pairing = reference_modes(full, np.array([2.1e11]), everywhere, everywhere, 4)
         modes = pairing.solve(full, np.array([[2.1e11]]))
-        lam = full.spectrum(np.array([[2.1e11]]), 6).eigenvalues[0]
+        lam = solve_spectrum(full, np.array([[2.1e11]]), 6).eigenvalues[0]
         # W1 S1 W2 T1 W3 …: the fourth one must be left out
         assert_allclose(modes.eigenvalues[0], lam[[0, 1, 2, 4]], rtol=1e-6)
 
@@ -52,7 +53,7 @@ def test_torsion_moves_no_translation_in_any_orientation():
 def test_sensors_that_see_too_little():
     stiffness = np.array([[2.0, -1, 0, 0], [-1, 2.0, 0, 0], [0, 0, 4.0, -1], [0, 0, -1, 4.0]])
     K, M = Term(sp.csr_array(stiffness), (1.0,)), Term(sp.csr_array(np.eye(4)), (0.0,))
-    two_pairs = full_model(SeparableModel([K], [M]))
+    two_pairs = full_blocks(SeparableModel([K], [M]))
     with pytest.raises(ValueError, match=r"^sensors: must see the 3 measured modes \(they see 2\)$"):
         reference_modes(two_pairs, np.array([2.0]), selection([3], 4), selection(np.arange(4), 4), 3)
 
@@ -60,12 +61,12 @@ def test_sensors_that_see_too_little():
 def test_shapes_measured_at_few_sensors_pair_as_well():
     """Reference shapes from outside, any scale and sign, at three nodes."""
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
-    full = full_model(model)
+    full = full_blocks(model)
     theta = np.array([[2.1e11]])
     dofs = np.array([model.dof(node, "z") for node in (15, 30, 49)])
-    weak = next(b for b, block in enumerate(full.blocks) if dofs[0] in block.dofs)
-    local = np.searchsorted(full.blocks[weak].dofs, dofs)
-    lam, phi = full.blocks[weak].modes(theta, 3)
+    weak = next(b for b, block in enumerate(full) if dofs[0] in block.dofs)
+    local = np.searchsorted(full[weak].dofs, dofs)
+    lam, phi = full[weak].modes(theta, 3)
     measured = phi[0][local][:, [2, 0, 1]] * [-3.0, 0.1, 7.0]
     modes = ShapePairing(selection(dofs, model.n_dof), measured).solve(full, theta)
     assert_array_equal(modes.rank[0], [2, 0, 1])
@@ -78,13 +79,13 @@ def test_rigid_body_modes_of_a_free_structure_were_not_measured():
     elements = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
     group = ElementGroup("b", elements, Section(A=4e-4, Iy=3e-8, Iz=5e-8, J=2e-8), STEEL)
     model = Frame(nodes, [group]).separable({"E": [("E", "b")]})
-    full, theta = full_model(model), np.array([2.1e11])
+    full, theta = full_blocks(model), np.array([2.1e11])
     sensors = np.array([model.dof(node, "z") for node in (0, 3, 8)])
     everywhere = selection(model.translations, model.n_dof)
     modes = reference_modes(full, theta, selection(sensors, model.n_dof), everywhere, 2).solve(full, theta[None])
-    elastic = full.spectrum(theta[None], 12).eigenvalues[0, 6:]
-    plane = next(b for b, block in enumerate(full.blocks) if sensors[0] in block.dofs)
-    bending = full.blocks[plane].eigenvalues(theta[None], 4)[0, 2:]
+    elastic = solve_spectrum(full, theta[None], 12).eigenvalues[0, 6:]
+    plane = next(b for b, block in enumerate(full) if sensors[0] in block.dofs)
+    bending = full[plane].eigenvalues(theta[None], 4)[0, 2:]
     assert_allclose(modes.eigenvalues[0], bending, rtol=1e-6)
     assert bending[0] == pytest.approx(elastic[0], rel=1e-6)
 
@@ -103,10 +104,10 @@ def free_frame():
 def test_rigid_body_modes_leave_room_for_all_measured_ones(measured):
     """They are of the same block as the elastic ones, and below them."""
     model, n, theta = free_frame(), 6, np.array([2.1e11])
-    full = full_model(model)
-    assert len(full.blocks) == 1
+    full = full_blocks(model)
+    assert len(full) == 1
     assert count_rigid(full, theta, n) == 6
-    lam, phi = full.blocks[0].modes(theta[None], 6 + n)
+    lam, phi = full[0].modes(theta[None], 6 + n)
     sensors = tuple((node, direction) for node in (0, 5, 8, 10) for direction in "xyz")
     shapes = model.observation(sensors) @ phi[0, :, 6:] if measured else None
     structure = PairedStructure.of(
@@ -123,7 +124,7 @@ def test_rigid_body_modes_leave_room_for_all_measured_ones(measured):
 def test_measured_modes_may_answer_to_others_than_the_lowest_in_order():
     """Counted among the elastic modes that the sensors see."""
     model, theta = free_frame(), np.array([2.1e11])
-    lam = full_model(model).spectrum(theta[None], 12).eigenvalues[0, 6:]
+    lam = solve_spectrum(full_blocks(model), theta[None], 12).eigenvalues[0, 6:]
 
     def paired(counterparts):
         return PairedStructure.of(

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.fem.modes.full_block import full_model
-from fmu.fem.modes.modal import BlockModel
+from fmu.fem.modes.full_block import full_blocks
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_structure import PairedStructure
@@ -162,12 +161,12 @@ def pair_of_modes(kind, coupling, turned):
     first, second, third = Q.T[:, :, None] * Q.T[:, None]
     link = np.outer(Q[:, 0] - Q[:, 1], Q[:, 0] - Q[:, 1])
     K = [Term(first, (1, 0)), Term(second, (0, 1)), Term(coupling * link + 1e4 * third, (0, 0))]
-    full = full_model(SeparableModel(K, [Term(np.eye(3), (0, 0))]))
-    model = full if kind == "full" else BlockModel((ReducedBlock(full.blocks[0], np.eye(3), 2),), 2)
+    full = full_blocks(SeparableModel(K, [Term(np.eye(3), (0, 0))]))
+    blocks = full if kind == "full" else (ReducedBlock(full[0], np.eye(3), 2),)
     pairing = RankPairing((0, 0), (0, 1))
 
     def sensitivities(theta):
-        return StructureSensitivities(model, pairing.locate(model, theta, True), pairing.counts(model), theta)
+        return StructureSensitivities(blocks, pairing.locate(blocks, theta, True), pairing.counts(blocks), theta)
 
     return sensitivities
 

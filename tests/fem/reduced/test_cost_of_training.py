@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import fmu
 from fmu.analysis.maxima.search import STARTS, STARTS_IF_SLOW, default_starts
 from fmu.analysis.start.model_words import model_in_words
-from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.full_block import full_blocks
+from fmu.fem.modes.modal import solve_spectrum
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
@@ -131,11 +132,11 @@ def test_a_block_that_no_parameter_changes_is_solved_once():
     """Two springs beside one that is uncertain, and a mass that nothing holds."""
     K = np.diag([0.0, 3.0, 2.0, 0.0])
     model = fmu.SeparableModel.from_terms(["k"], [K, (np.diag([1.0, 0.0, 0.0, 0.0]), "k")], [np.eye(4)])
-    full, theta = full_model(model), np.linspace(0.5, 1.5, 7)[:, None]
-    assert [block.constant for block in full.blocks] == [False, True, True, True]
+    full, theta = full_blocks(model), np.linspace(0.5, 1.5, 7)[:, None]
+    assert [block.constant for block in full] == [False, True, True, True]
     with counted() as work:
-        eigenvalues = full.spectrum(theta, 4).eigenvalues
-        full.spectrum(2.0 * theta[:3], 4)
+        eigenvalues = solve_spectrum(full, theta, 4).eigenvalues
+        solve_spectrum(full, 2.0 * theta[:3], 4)
     assert work.eigenproblems == 7 + 3 + 3
     expected = np.stack([np.sort([0.0, 3.0, 2.0, k]) for k in theta[:, 0]])
     assert_allclose(eigenvalues, expected, atol=1e-15)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.full_block import full_blocks
 from fmu.fem.reduced import shared
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.residuals import bound_errors
@@ -16,7 +16,7 @@ COUNT = 4
 
 def anchors_of(built):
     model, lower, upper = box(built)
-    return Anchors(full_model(model).blocks[0], lower, upper)
+    return Anchors(full_blocks(model)[0], lower, upper)
 
 
 @pytest.fixture(autouse=True)

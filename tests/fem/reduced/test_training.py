@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
-from fmu.fem.modes.full_block import full_model
-from fmu.fem.modes.modal import BlockModel, frequency_hz
+from fmu.fem.modes.full_block import full_blocks
+from fmu.fem.modes.modal import frequency_hz, solve_spectrum
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.reference_modes import reference_modes
@@ -69,11 +69,11 @@ def coupled_pair():
 
 def shape_rule(model, theta, n_modes):
     everywhere = selection(model.translations, model.n_dof)
-    return reference_modes(full_model(model), theta, everywhere, everywhere, n_modes)
+    return reference_modes(full_blocks(model), theta, everywhere, everywhere, n_modes)
 
 
 def full_and_trained(model, rule, lower, upper, tolerance=1e-6, **options):
-    full = full_model(model)
+    full = full_blocks(model)
     trained = Training(full, rule, lower, upper, tolerance, **options).run()
     return full, trained
 
@@ -108,20 +108,20 @@ def test_an_assignment_that_never_changes_becomes_a_rank():
     full, trained = full_and_trained(model, rule, lower, upper)
     assert isinstance(trained.pairing, RankPairing)
     theta = inside(lower, upper, 40)
-    by_rank = trained.pairing.solve(trained.model, theta, gradient=True)
-    for model_ in (trained.model, full):
+    by_rank = trained.pairing.solve(trained.blocks, theta, gradient=True)
+    for model_ in (trained.blocks, full):
         by_mac = rule.solve(model_, theta, gradient=True)
         assert_array_equal(by_rank.block, by_mac.block)
         assert_array_equal(by_rank.rank, by_mac.rank)
         assert_allclose(by_rank.eigenvalues, by_mac.eigenvalues, rtol=2e-6)
         assert_allclose(by_rank.gradient, by_mac.gradient, rtol=1e-5, atol=1e-5 * np.abs(by_mac.gradient).max())
     # only what is needed is reduced, and to no more modes than are needed
-    for b, block in enumerate(trained.model.blocks):
+    for b, block in enumerate(trained.blocks):
         ranks = [r for o, r in zip(trained.pairing.block, trained.pairing.rank, strict=True) if o == b]
         assert isinstance(block, ReducedBlock) == bool(rule.observe(full).get(b))
         if ranks:
             assert block.n_trained == max(ranks) + 1
-            assert block.size < 0.5 * full.blocks[b].size
+            assert block.size < 0.5 * full[b].size
 
 
 @pytest.mark.parametrize("build", [turned, coupled_pair], ids=["crossing", "veering"])
@@ -131,20 +131,20 @@ def test_an_assignment_that_changes_keeps_the_general_path(build):
     full, trained = full_and_trained(model, rule, lower, upper)
     assert trained.pairing is rule
     theta = np.sort(inside(lower, upper, 60), axis=0)
-    exact, reduced = rule.solve(full, theta), trained.pairing.solve(trained.model, theta)
+    exact, reduced = rule.solve(full, theta), trained.pairing.solve(trained.blocks, theta)
     assert len(np.unique(exact.rank, axis=0)) > 1
     # at the jump itself the sides may be taken differently; everywhere else they must not
     same = np.all((exact.rank == reduced.rank) & (exact.block == reduced.block), axis=1)
     assert np.sum(same) >= 58
     assert_allclose(frequency_hz(reduced.eigenvalues[same]), frequency_hz(exact.eigenvalues[same]), rtol=2e-6)
-    assert all(b.n_trained >= 4 for b in trained.model.blocks if isinstance(b, ReducedBlock))
+    assert all(b.n_trained >= 4 for b in trained.blocks if isinstance(b, ReducedBlock))
 
 
 def test_small_blocks_are_kept_whole():
     model, lower, upper = two_groups(n_elements=4)
     full, trained = full_and_trained(model, IndexPairing((1, 2, 4)), lower, upper)
     theta = inside(lower, upper, 10)
-    for exact, block in zip(full.blocks, trained.model.blocks, strict=True):
+    for exact, block in zip(full, trained.blocks, strict=True):
         assert exact.size <= EXACT_LIMIT
         assert block.size == exact.size
         assert_allclose(block.eigenvalues(theta, block.size), exact.eigenvalues(theta, exact.size), rtol=1e-7)
@@ -154,11 +154,11 @@ def test_by_number_each_block_shows_one_mode_more_than_was_ever_among_the_lowest
     model, lower, upper = two_groups()
     full, trained = full_and_trained(model, IndexPairing((1, 3, 6)), lower, upper)
     theta = inside(lower, upper, 60)
-    exact = full.spectrum(theta, 6)
-    for b, block in enumerate(trained.model.blocks):
+    exact = solve_spectrum(full, theta, 6)
+    for b, block in enumerate(trained.blocks):
         assert block.n_trained >= 1 + np.max(np.sum(exact.block == b, axis=1))
         assert block.n_trained < 6
-    assert_allclose(trained.model.spectrum(theta, 6).eigenvalues, exact.eigenvalues, rtol=3e-6)
+    assert_allclose(solve_spectrum(trained.blocks, theta, 6).eigenvalues, exact.eigenvalues, rtol=3e-6)
 
 
 def test_a_mode_that_a_reduced_block_does_not_show_makes_the_row_fall_back():
@@ -176,7 +176,7 @@ def test_a_mode_that_a_reduced_block_does_not_show_makes_the_row_fall_back():
     needed = int(np.max(exact.rank[exact.block == blind])) + 1
     state[f"n_trained{blind}"] = np.array(float(needed - 1))
     poor = restore(structure, state)
-    assert np.all(np.isnan(poor.cheap.blocks.spectrum(theta, 5).eigenvalues))
+    assert np.all(np.isnan(solve_spectrum(poor.cheap.blocks, theta, 5).eigenvalues))
     modes = poor.modes(theta, gradient=True)
     assert poor.full_solves == 30
     assert_array_equal(modes.eigenvalues, exact.eigenvalues)
@@ -189,14 +189,14 @@ def test_only_the_rows_that_miss_a_mode_fall_back():
     model, lower, upper = softening()
     full, trained = full_and_trained(model, IndexPairing((1, 2, 3, 4, 5, 6)), lower, upper)
     theta = inside(lower, upper, 200)
-    exact = full.spectrum(theta, 6)
-    varies = np.array([np.sum(exact.block == b, axis=1) for b in range(len(full.blocks))])
+    exact = solve_spectrum(full, theta, 6)
+    varies = np.array([np.sum(exact.block == b, axis=1) for b in range(len(full))])
     b = int(np.argmax(np.ptp(varies, axis=1)))
     most = int(np.max(varies[b]))
     assert 0 < np.sum(varies[b] == most) < 200
-    shown = list(trained.model.blocks)
-    shown[b] = ReducedBlock(full.blocks[b], trained.model.blocks[b].basis, most)
-    partial = BlockModel(tuple(shown), 1).spectrum(theta, 6)
+    shown = list(trained.blocks)
+    shown[b] = ReducedBlock(full[b], trained.blocks[b].basis, most)
+    partial = solve_spectrum(shown, theta, 6)
     missing = np.isnan(partial.eigenvalues).any(axis=1)
     assert_array_equal(missing, varies[b] == most)
     assert np.all(np.isnan(partial.eigenvalues[missing]))
@@ -225,8 +225,8 @@ def test_a_mode_that_is_needed_at_fresh_points_alone_is_noticed(monkeypatch):
     only_the_lower_part_first(monkeypatch, 0.05)
     model, lower, upper = softening()
     full, trained = full_and_trained(model, IndexPairing((6, 1)), lower, upper, tolerance=1e9)
-    blocks = full.spectrum(inside(lower, upper, 60), 6).block
-    for b, block in enumerate(trained.model.blocks):
+    blocks = solve_spectrum(full, inside(lower, upper, 60), 6).block
+    for b, block in enumerate(trained.blocks):
         assert block.n_trained > np.max(np.sum(blocks == b, axis=1))
 
 
@@ -246,7 +246,7 @@ def test_too_few_points_are_made_up_for_by_fresh_ones(monkeypatch):
     assert len(asked) >= 3
     assert len(set(asked)) == len(asked)
     theta = box_points(lower, upper, 64, seed=99)
-    exact, reduced = (rule.solve(m, theta) for m in (full, trained.model))
+    exact, reduced = (rule.solve(m, theta) for m in (full, trained.blocks))
     assert_allclose(frequency_hz(reduced.eigenvalues), frequency_hz(exact.eigenvalues), rtol=2e-6)
 
 
@@ -256,9 +256,11 @@ def test_a_tighter_tolerance_is_kept():
     sizes, errors = [], []
     for tolerance in (1e-3, 1e-5, 1e-7):
         full, trained = full_and_trained(model, rule, lower, upper, tolerance)
-        exact, reduced = (frequency_hz(trained.pairing.solve(m, theta).eigenvalues) for m in (full, trained.model))
+        exact, reduced = (
+            frequency_hz(trained.pairing.solve(m, theta).eigenvalues) for m in (full, trained.blocks)
+        )
         errors.append(np.max(np.abs(reduced / exact - 1.0)) / tolerance)
-        sizes.append(sum(b.size for b in trained.model.blocks if isinstance(b, ReducedBlock)))
+        sizes.append(sum(b.size for b in trained.blocks if isinstance(b, ReducedBlock)))
     assert np.all(np.array(errors) < 2.0)
     assert sizes == sorted(sizes)
     assert sizes[0] < sizes[-1]
@@ -267,14 +269,14 @@ def test_a_tighter_tolerance_is_kept():
 def test_refining_adds_the_points_and_tightens_the_tolerance():
     model, lower, upper = two_groups()
     rule = shape_rule(model, lower * 1.2, 4)
-    full = full_model(model)
+    full = full_blocks(model)
     learner = Training(full, rule, lower, upper, 1e-3)
     trained, errors = learner.run(), []
     for step in range(4):
         theta = inside(lower, upper, 5, seed=step)
         exact = frequency_hz(rule.solve(full, theta).eigenvalues)
         trained = learner.refine(theta)
-        errors.append(np.max(frequency_hz(trained.pairing.solve(trained.model, theta).eigenvalues) / exact - 1.0))
+        errors.append(np.max(frequency_hz(trained.pairing.solve(trained.blocks, theta).eigenvalues) / exact - 1.0))
         assert all(np.isin(theta, of.theta).all() for of in learner.learners.values())
     assert np.all(np.array(errors) <= 1e-3 / 3.0 ** np.arange(1, 5))
 
@@ -283,14 +285,14 @@ def test_training_wants_the_full_model():
     model, lower, upper = two_groups(4)
     _, trained = full_and_trained(model, IndexPairing((1, 2)), lower, upper)
     with pytest.raises(TypeError, match=r"^block 0: training needs the full model \(got ReducedBlock\)$"):
-        Training(trained.model, IndexPairing((1, 2)), lower, upper, 1e-6).run()
+        Training(trained.blocks, IndexPairing((1, 2)), lower, upper, 1e-6).run()
 
 
 def test_rule_by_shape_offers_a_margin_of_candidates():
     model, lower, _ = two_groups()
     rule = shape_rule(model, lower, 4)
     assert isinstance(rule, ShapePairing)
-    learner = Training(full_model(model), rule, lower, lower * 2, 1e-6)
+    learner = Training(full_blocks(model), rule, lower, lower * 2, 1e-6)
     learner.run()
     assert {of.count for of in learner.learners.values()} == {4 + rule.margin}
 
@@ -299,7 +301,7 @@ def test_the_pairing_is_judged_at_points_that_all_blocks_visited():
     """After a cut each block may have looked at points of its own, as many or more than another."""
     model, lower, upper = two_groups()
     rule = shape_rule(model, lower * 1.2, 4)
-    training = Training(full_model(model), rule, lower, upper, 1e-6)
+    training = Training(full_blocks(model), rule, lower, upper, 1e-6)
     training.run()
     assert len(training.learners) >= 2
     before = count_needed(training.full, rule, training.learners)

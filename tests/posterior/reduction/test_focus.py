@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu import cases
-from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.reduced import training
@@ -283,7 +283,7 @@ def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
     poor = structure.cheap.blocks[0]
     half = poor.basis[:, : poor.basis.shape[1] // 2]
     changed = ReducedBlock(structure.truth.blocks[0], half, poor.n_trained)
-    trained = Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3))
+    trained = Trained((changed,), structure.pairing, np.full(2, 0.7), np.full(2, 1.3))
     assert not focus.on_a_jump(ReducedStructure(structure.truth, trained), theta, FREQUENCY_TOLERANCE).any()
 
 
