@@ -1,9 +1,9 @@
-"""Rigid alignment of points to a mesh: iterative closest points from many starts.
+"""Rigid alignment of points to a mesh, by iterative closest points (ICP) from many starting alignments.
 
 Each step (Besl & McKay 1992) is the least-squares alignment of Kabsch (1976) to the nearest nodes. The iterations
 start from the 24 rotations that map axes to axes, from the principal axes of points and mesh, and from hundreds of
-other rotations. A regular mesh has a minimum at every shift by its spacing, so that the neighbours of the best
-alignments are tried too.
+other rotations. On a regular mesh every shift by the node spacing is a local minimum, so the neighbours of the
+best alignments are tried too.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ Alignment = tuple[FloatArray, FloatArray]
 
 
 def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
-    """Return the rotations R and shifts t that minimise Σ |R x + t − y|² (Kabsch 1976), for n points per set.
+    """Return the rotations R and shifts t that minimise Σ |R x + t − y|² (Kabsch 1976) for each set of n points.
 
-    There is no rotation about an axis that the points leave free, as collinear points do.
+    If the points leave a rotation undetermined, as collinear points do, R does not rotate about that axis.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
 
 
 class Mesh:
-    """Distinct positions of the nodes of a mesh, and the spacing between them."""
+    """Distinct node positions of a mesh, and the spacing between them."""
 
     def __init__(self, nodes: Sequence[Hashable], coordinates: ArrayLike) -> None:
         given = np.asarray(coordinates, dtype=float)
@@ -84,11 +84,11 @@ class Mesh:
         self.usual = float(np.median(self.spacing))
 
     def at(self, place: int) -> list[Hashable]:
-        """Return the list of nodes at the position with index `place`."""
+        """Return the nodes at the position with index `place`; several nodes may coincide."""
         return [self._nodes[k] for k in np.flatnonzero(self._place_of.ravel() == place)]
 
     def rms(self, x: FloatArray) -> float:
-        """Return the root mean square of the distances of points (n, 3) from their nearest nodes."""
+        """Return the root-mean-square distance of points (n, 3) from their nearest nodes."""
         return float(np.sqrt(np.mean(self.tree.query(x)[0] ** 2)))
 
     def fits(self, x: FloatArray) -> bool:
@@ -98,7 +98,7 @@ class Mesh:
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return R and t of the best fit that rotates least, and a list of the other alignments that fit as well."""
+    """Return R and t of the best fit with the smallest rotation, and the other alignments that fit as well."""
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
     # on a regular mesh every shift by its spacing is close to a minimum
@@ -124,7 +124,7 @@ def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, lis
 
 
 def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> Alignment:
-    """Return at most `count` alignments that fit best, without duplicates."""
+    """Return up to `count` of the best-fitting alignments, without duplicates."""
     places = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1]
     which = np.concatenate([places, np.round(4.0 * R.reshape(-1, 9))], axis=1)
     once = np.unique(which, axis=0, return_index=True)[1]
@@ -133,10 +133,10 @@ def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -
 
 
 def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
-    """Return the rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
+    """Return starting rotations (n, 3, 3) and shifts (n, 3).
 
-    Rotations of axes and of principal axes start with centres, corners or origins superposed; the many other
-    rotations start with the centres superposed.
+    Rotations of axes and principal axes start with centres, corners or origins superposed; the random rotations
+    start with the centres superposed.
     """
     axes = Rotation.create_group("O").as_matrix()
     V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
@@ -157,12 +157,12 @@ def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
 
 
 def _three(x: FloatArray) -> FloatArray:
-    """Return the points, with the last one repeated so that there are at least three, for an SVD."""
+    """Repeat the last point until there are at least three points, as an SVD needs."""
     return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
 
 
 def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> Alignment:
-    """Return alignments (n, 3, 3) and (n, 3) after at most `steps` steps of iterative closest points."""
+    """Run at most `steps` iterations of closest points; return alignments of shapes (n, 3, 3) and (n, 3)."""
     for _ in range(steps):
         placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
         turn, shift = kabsch(placed, mesh.places[mesh.tree.query(placed)[1]])
@@ -185,7 +185,7 @@ def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return the angle in degrees and the axis of the rotation matrix R."""
+    """Return the rotation angle in degrees and the rotation axis of the matrix R."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

@@ -1,4 +1,4 @@
-"""Correlation of test and model: among measured modes, of close modes as a subspace, and sensor by sensor.
+"""Test–model correlation: measured modes with each other, close modes as a subspace, and sensor by sensor.
 
 After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. The measured
 shapes are scaled to the computed shapes by least absolute differences (`scale_shapes`), so that a single wrong
@@ -49,7 +49,7 @@ _DEPENDENT = 1e-8
 
 
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return both sets of shapes (n_sensors, n_modes), with computed shapes of mean square 1.
+    """Scale computed shapes to mean square 1 and fit measured shapes to them; return both, (n_sensors, n_modes).
 
     Each measured shape φ is multiplied by the factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the scaled
     computed shape: c is the median of ψ_j/φ_j with weights |φ_j|.
@@ -68,11 +68,11 @@ def _factor(phi: FloatArray, psi: FloatArray) -> float:
 
 
 def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
-    """Return the coordinate modal assurance criterion of each sensor (Lieven & Ewins 1988), shape (n_sensors,).
+    """Return each sensor's coordinate modal assurance criterion (Lieven & Ewins 1988), shape (n_sensors,).
 
-    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k. It is 1 if the measured and the
-    computed components at the sensor are proportional, whatever their signs, and 1 for a sensor that moves in no
-    measured or computed shape.
+    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k. It is 1 if the measured and
+    computed components at the sensor are proportional, whatever their signs. It is also 1 if the sensor moves in
+    no shape.
     """
     phi, psi = scale_shapes(measured, computed)
     size = np.sum(phi**2, axis=1) * np.sum(psi**2, axis=1)
@@ -81,18 +81,18 @@ def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 
 
 def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
-    """Return the enhanced CoMAC of each sensor (Hunt 1992, IMAC X), shape (n_sensors,).
+    """Return each sensor's enhanced CoMAC (Hunt 1992, IMAC X), shape (n_sensors,).
 
-    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the root mean square of the computed shape.
-    It is 0 where the shapes are equal in sign and size, and as large as the component itself where only the sign
-    is wrong.
+    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the computed shape's root mean square. It is
+    0 where the shapes are equal in sign and size, and as large as the component itself where only the sign is
+    wrong.
     """
     phi, psi = scale_shapes(measured, computed)
     return np.asarray(0.5 * np.mean(np.abs(phi - psi), axis=1))
 
 
 def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
-    """Return cos² of the principal angles between the spaces of two sets of shapes, largest first.
+    """Return cos² of the principal angles between the subspaces that two sets of shapes span, largest first.
 
     The smallest value is 1 if every measured shape is a combination of the computed shapes, as for close modes
     that differ only by a rotation among themselves (Björck & Golub 1973). For two single shapes the value is their
@@ -112,7 +112,7 @@ def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 
 
 def _orthonormal(shapes: FloatArray) -> FloatArray:
-    """Return orthonormal columns that span the shapes; columns are zero where shapes are linearly dependent."""
+    """Return orthonormal columns that span the shapes. Columns are zero for linearly dependent shapes."""
     size = np.linalg.norm(shapes, axis=0)
     unit = np.divide(shapes, size, out=np.zeros_like(shapes), where=size > 0)
     U, s, _ = np.linalg.svd(unit, full_matrices=False)
@@ -120,13 +120,18 @@ def _orthonormal(shapes: FloatArray) -> FloatArray:
 
 
 def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[int, ...], ...]:
-    """Return a tuple of groups of two or more modes that are closer than `within` to the next in the group.
+    """Group modes by frequency: each group has two or more modes, with a relative gap below `within` to the next.
 
     Parameters
     ----------
     *frequencies : array_like, shape (n_modes,)
         Frequencies of the same modes, such as measured and computed. Two modes are close if their relative
         difference is less than `within` in one of the arrays.
+
+    Returns
+    -------
+    tuple of tuple of int
+        Mode indices (from 0) in each group.
     """
     near = np.zeros((len(np.asarray(frequencies[0])),) * 2, dtype=bool)
     for f in map(np.asarray, frequencies):
@@ -148,7 +153,7 @@ class Correlation:
         Labels of the measured modes.
     measured, computed : ndarray, shape (n_sensors, n_modes)
     groups : tuple of tuple of int
-        Groups of modes, by index (from 0), that are close in frequency; see `close_groups`.
+        Mode indices (from 0) in each group of close frequencies; see `close_groups`.
     """
 
     sensors: tuple[str, ...]
@@ -174,7 +179,7 @@ class Correlation:
 
     @cached_property
     def subspace(self) -> dict[int, float]:
-        """Dict from each mode of a group to the smallest cos² of the principal angles between both spaces.
+        """Smallest cos² of the principal angles between measured and computed subspace, for each mode in a group.
 
         Groups with at least as many modes as there are sensors are skipped, because they span the whole space.
         """
@@ -184,7 +189,10 @@ class Correlation:
 
     @property
     def suspects(self) -> IntArray:
-        """Indices of the sensors that stand out, the worst first, shape (n_suspects,)."""
+        """Indices of sensors whose ECoMAC stands out, and of exchanged sensors, worst first, shape (n_suspects,).
+
+        Empty if there are too few sensors or modes to tell.
+        """
         if not self._is_enough:
             return np.zeros(0, dtype=np.int64)
         least = max(SUSPECT, TIMES * float(np.median(self.ecomac)))
@@ -199,9 +207,9 @@ class Correlation:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Indices of two sensors that would agree with the model in each other's place; empty if there are none.
+        """Indices of two sensors that would agree with the model if they were exchanged; empty if there are none.
 
-        Among few sensors, two that are exchanged do not stand out from the median.
+        They are sought separately because two bad sensors among few do not stand out from the median.
         """
         worst = np.argsort(-self.ecomac, kind="stable")[:_TRIED].tolist()
         if not self._is_enough or self.ecomac[worst[0]] <= SUSPECT:
@@ -213,13 +221,13 @@ class Correlation:
         return tuple(sorted(pair)) if is_explained else ()
 
     def _ecomac_exchanged(self, pair: tuple[int, ...]) -> FloatArray:
-        """Return the ECoMAC of each sensor, (n_sensors,), with two measured sensors exchanged."""
+        """Return each sensor's ECoMAC after exchanging two measured sensors, shape (n_sensors,)."""
         order = np.arange(len(self.sensors))
         order[list(pair)] = pair[::-1]
         return ecomac(self.measured[order], self.computed)
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return a list of warnings on two sensors that are exchanged, and on the five worst other suspects."""
+        """Return warnings about exchanged sensors and about the five worst other suspects."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         if self.exchanged:
@@ -244,12 +252,12 @@ class Correlation:
         return found
 
     def sensors_in_doubt(self) -> str:
-        """Return the five worst suspects in words, ``"sensors 3 x and 6 x"``; an empty string without suspects."""
+        """Return the five worst suspects as text, ``"sensors 3 x and 6 x"``, or an empty string without any."""
         named = [self.sensors[j] for j in sorted(self.suspects[:_MOST_NAMED].tolist())]
         return f"sensor{'s' * (len(named) > 1)} {names_in_words(named)}" if named else ""
 
     def doubts_of_modes(self) -> list[str]:
-        """Return a list of warnings, one for each pair of measured modes that look alike at the sensors."""
+        """Return a warning for each pair of measured modes that look alike at the sensors."""
         above = np.argwhere(np.triu(self.auto_mac, 1) > ALIASED).tolist()
         return [
             f"The measured shapes of modes {self.labels[i]} and {self.labels[k]} are alike at the sensors "
@@ -258,7 +266,7 @@ class Correlation:
         ]
 
     def notes(self) -> list[str]:
-        """Return a list of sentences, one for each group of close modes that agree only as a space."""
+        """Return a sentence for each group of close modes that agree as a subspace but not mode by mode."""
         found = []
         for group in self.groups:
             alike = [float(mac(self.computed[:, [k]], self.measured[:, [k]])[0, 0]) for k in group]
@@ -271,6 +279,6 @@ class Correlation:
         return found
 
     def table(self) -> pd.DataFrame:
-        """Return a table of ``comac`` and ``ecomac``, one row per sensor, largest ``ecomac`` first."""
+        """Return a table with columns ``comac`` and ``ecomac``, one row per sensor, largest ``ecomac`` first."""
         columns = {"comac": self.comac, "ecomac": self.ecomac}
         return data_frame(columns, "sensor", self.sensors).sort_values("ecomac", ascending=False, kind="stable")

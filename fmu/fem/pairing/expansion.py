@@ -1,10 +1,10 @@
-"""Expansion of measured shapes to all degrees of freedom of a model, for pictures.
+"""Expansion of measured shapes to all degrees of freedom of a model, for plots.
 
-SEREP, the default, fits the model's modes to the measured shapes: noise at single sensors is averaged out, any
-sensors will do that tell the modes apart, and the residual of the fit shows how far to trust the picture. Dynamic
-expansion reproduces the measured values to the last digit and computes the other degrees of freedom from the
-model's inertia and stiffness. Noise remains, as kinks at the sensors, and the expanded shape is unbounded where a
-measured frequency is a natural frequency of the model with its sensors held.
+SEREP, the default, fits the model's modes to the measured shapes. Noise at single sensors is averaged out, any
+sensors that tell the modes apart will do, and the residual shows how far to trust the plot. Dynamic expansion
+reproduces the measured values exactly and computes the other degrees of freedom from the model's inertia and
+stiffness. Noise remains, as kinks at the sensors, and the expanded shape is unbounded if a measured frequency is a
+natural frequency of the model with its sensors fixed.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Expanded:
     shapes : ndarray, shape (n_dof, n_modes)
         Expanded shapes, in the scale of the measured shapes.
     kept : ndarray, shape (n_modes,)
-        Share of the sum of squares of each measured shape that the expanded shape reproduces at the sensors; 1 if
-        the two shapes are equal there.
+        Share of each measured shape's sum of squares that the expanded shape reproduces at the sensors; 1 if the
+        two shapes are equal there.
     """
 
     shapes: FloatArray
@@ -42,7 +42,7 @@ class Expanded:
 
 
 def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArray:
-    """Return Φ (C Φ)⁺ φ, the combination of modes that is closest to each measured shape at the sensors.
+    """Return Φ (C Φ)⁺ φ, the combination of model modes closest to each measured shape at the sensors.
 
     The system equivalent reduction expansion process (O'Callahan, Avitabile & Riemer 1989, IMAC VII), smoothed.
 
@@ -98,7 +98,7 @@ def dynamic(
     ------
     ValueError
         If two sensors see the same motion, or a measured frequency is a natural frequency of the model with its
-        sensors held.
+        sensors fixed.
     """
     n = rows.shape[1]
     shapes = np.empty((n, measured.shape[1]))
@@ -128,7 +128,7 @@ def expand(
     frequencies_hz: ArrayLike,
     method: str = "serep",
 ) -> Expanded:
-    """Return measured shapes expanded to all degrees of freedom of a model.
+    """Expand measured shapes to all degrees of freedom of a model.
 
     Parameters
     ----------

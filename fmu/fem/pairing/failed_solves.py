@@ -1,6 +1,6 @@
-"""Reasons why a model gave no frequencies at a parameter vector, in terms of structural dynamics.
+"""Explains, in terms of structural dynamics, why a model gave no frequencies at a parameter vector.
 
-Solvers return NaN on failure and spend no time on the reason. Here a theta that failed is solved again by itself.
+Solvers return NaN on failure and spend no time on the reason. Here a failed theta is solved again to find it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NOT_FINITE = "frequencies are not finite"
 
 
 def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
-    """Return why a paired model has no finite frequencies at theta; None if its frequencies are finite.
+    """Return the reason why a paired model has no finite frequencies at theta, or None if they are finite.
 
     Parameters
     ----------
@@ -58,7 +58,10 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Return why the full model, which also replaces a failed reduced model, fails; None if it does not fail."""
+    """Return the reason why the full model fails, or None if it does not.
+
+    The full model matters because it is solved whenever a reduced model fails.
+    """
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():
         block: Any = model.blocks[b]
@@ -70,7 +73,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return why a block fails and the degree of freedom concerned (or None); None if the block does not fail."""
+    """Return the reason why a block fails and the degree of freedom concerned, if any; None if it solves."""
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):

@@ -1,4 +1,4 @@
-"""Matching of test points to the nodes of a mesh: a rigid alignment, then the nearest node of each point.
+"""Matching of measurement points to mesh nodes: a rigid alignment, then the nearest node for each point.
 
 Points that are given in the axes of the model are used as they are. Otherwise the alignment R x + t is found by
 `fmu.fem.pairing.alignment`. Points are never scaled or mirrored, but a message says if another unit or mirrored
@@ -44,20 +44,20 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Points of a test, each with the node of the model nearest to it.
+    """Measurement points, each matched to the nearest model node.
 
     Attributes
     ----------
     points : tuple of str
-        Names of the points.
+        Point names.
     nodes : tuple
         Node of each point, as named in the model's degrees of freedom.
     distances : ndarray, shape (n_points,), m
         Distance of each point from its node, after the alignment.
     spacing : ndarray, shape (n_points,), m
-        Distance from the node of each point to the next node of the mesh.
+        Distance from each point's node to the next node of the mesh.
     rotation : ndarray, shape (3, 3)
-        R of the alignment x → R x + t.
+        R in the alignment x → R x + t.
     shift : ndarray, shape (3,), m
         t.
     notes, doubts : tuple of str
@@ -74,12 +74,12 @@ class Matching:
     doubts: tuple[str, ...]
 
     def sensor(self, point: Hashable, direction: str) -> Dof:
-        """Return the node and the model direction of a sensor at a point; `direction` is in the test's axes.
+        """Return the (node, direction) in the model of a sensor at `point` with `direction` in the test's axes.
 
         Raises
         ------
         ValueError
-            If there is no such point, or the axes of the test are not parallel to those of the model.
+            If there is no such point, or the test's axes are not parallel to the model's axes.
         """
         if str(point) not in self.points:
             raise ValueError(f"must be a point of the geometry (got {point!r})")
@@ -97,16 +97,16 @@ class Matching:
 
     @property
     def is_parallel(self) -> bool:
-        """Whether the axes of the test are parallel to the axes of the model."""
+        """Whether the test's axes are parallel to the model's axes."""
         return bool(np.all(np.max(np.abs(self.rotation), axis=0) >= np.cos(np.radians(SNAPPED))))
 
     def turned(
         self, sensors: Sequence[Dof], shapes: ArrayLike | None = None
     ) -> tuple[tuple[Dof, ...], FloatArray | None]:
-        """Return the sensors at nodes in the model's axes, and the shapes (n_sensors, n_modes) at these sensors.
+        """Return the sensors at model nodes along the model's axes, and the shapes there, (n_sensors, n_modes).
 
-        If the axes of the test are not parallel to those of the model, the three components at each point are
-        rotated together.
+        If the test's axes are not parallel to the model's, the three components at each point are rotated
+        together.
 
         Raises
         ------
@@ -146,14 +146,14 @@ def match(
     unit: str = "m",
     known: Mapping[Any, Any] | None = None,
 ) -> Matching:
-    """Return the mesh node nearest to each point of a test, after a rigid alignment if one is needed.
+    """Match each measurement point to the nearest mesh node, after a rigid alignment if one is needed.
 
     Parameters
     ----------
     points : mapping of name to array_like, shape (3,)
-        Coordinates in `unit`, in the axes of the test.
+        Coordinates in `unit`, in the test's axes.
     nodes : sequence
-        Names of the mesh's nodes.
+        Names of the mesh nodes.
     coordinates : array_like, shape (n_nodes, 3), m
     unit : {"m", "mm", "cm", "in", "ft"}
     known : mapping of point to node, optional
@@ -202,15 +202,15 @@ def match_points(
     unit: str = "m",
     known: Mapping[Any, Any] | None = None,
 ) -> Matching:
-    """Return the model node nearest to each point of a test, after a rigid alignment if one is needed.
+    """Match each measurement point to the nearest model node, after a rigid alignment if one is needed.
 
     ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` then has the sensors at these nodes, in
-    the model directions that correspond to the axes of the test.
+    the model directions that correspond to the test's axes.
 
     Parameters
     ----------
     points : mapping of name to array_like, shape (3,)
-        Coordinates in `unit`, in the axes of the test.
+        Coordinates in `unit`, in the test's axes.
     model : SeparableModel
         The model; it must have a geometry.
     unit : {"m", "mm", "cm", "in", "ft"}
@@ -268,7 +268,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a list with a warning if other alignments fit as well; otherwise an empty list."""
+    """Return a warning in a list if other alignments fit equally well; otherwise an empty list."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"
@@ -279,7 +279,7 @@ def _of_alignments(others: Sequence[Alignment]) -> list[str]:
 
 
 def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
-    """Return a list of warnings on points at several coincident nodes, and on points that share a node."""
+    """Return warnings about points at several coincident nodes, and about points that share a node."""
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
         f"{those[0]} is taken."
@@ -296,9 +296,9 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
 
 
 def _of_distances(found: Matching, second: FloatArray) -> list[str]:
-    """Return a list of warnings on points that are far from their nodes, or almost as near to another node.
+    """Return warnings about points that are far from their nodes, or almost as near to another node.
 
-    `second` is the distance of each point from its second-nearest node.
+    `second` is the distance of each point from its second-nearest node, in m.
     """
     far = found.distances / found.spacing
     doubts = [
@@ -318,7 +318,7 @@ def _of_distances(found: Matching, second: FloatArray) -> list[str]:
 
 
 def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return the phrase that says by how much points do not fit a mesh."""
+    """Return a phrase for the error message that says how far the points are from the mesh."""
     size, distance = float(np.ptp(x, axis=0).max()), mesh.tree.query(placed)[0]
     return (
         f"must fit the mesh (the nearest nodes are up to {significant(float(distance.max()))} m off; the points "
@@ -327,7 +327,7 @@ def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
 
 
 def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
-    """Return the phrase that names the unit in which the points would fit; empty if there is none."""
+    """Return a phrase that names the unit in which the points would fit, or an empty string if there is none."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
             R, t, _ = align_points(factor * given, mesh)
@@ -337,7 +337,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return a warning if the mirrored points would fit much better; empty otherwise."""
+    """Return a phrase that says if the mirrored points would fit much better; otherwise an empty string."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

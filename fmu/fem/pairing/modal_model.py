@@ -1,4 +1,4 @@
-"""Interface of models whose modes are paired with the measured modes, and parts of such models."""
+"""Interface of models whose modes are paired with measured modes, and its simple implementations."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from fmu.types import Dof, FloatArray, IntArray
 
 
 class FrequencyMap(Protocol):
-    """Protocol of a user's own model: a map from parameters to the frequencies of the measured modes.
+    """Protocol for a user's own model: it maps parameters to the frequencies of the measured modes.
 
     The optional attributes ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and
     ``reasons`` are used as `ModalModel` describes them.
 
-    A model with `observed`, which returns a `fmu.fem.pairing.prediction.ModalPrediction`, allows errors of shapes
-    too.
+    Errors of mode shapes can be used too if the model has `observed`, which returns a
+    `fmu.fem.pairing.prediction.ModalPrediction`.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class FrequencyMap(Protocol):
     n_modes: int
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
+        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes); NaN where a solve failed."""
         ...
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
+        """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters)."""
         ...
 
 
@@ -56,13 +56,13 @@ class ModalModel:
     ----------
     n_parameters, n_modes : int
     name : str
-        Name used where a problem is described.
+        Name used in descriptions of a problem.
     structure : SeparableModel or None
-        Matrices of the model, if it has matrices.
+        The model's matrices, if it has any.
     functions : tuple of BlackBoxModel
-        The users' functions that the model calls; empty for other kinds of model.
+        User functions that the model calls; empty for other kinds of model.
     full_blocks : tuple of FullBlock
-        The blocks of matrices that are solved in full; empty for other kinds of model.
+        Matrix blocks that are solved in full; empty for other kinds of model.
     gives_shapes : bool
         Whether `observed` gives shapes at the sensors.
     gives_shape_curvature : bool
@@ -106,26 +106,29 @@ class ModalModel:
 
     @property
     def truth(self) -> ModalModel:
-        """The model without approximation errors: the model itself, unless it approximates another model."""
+        """The model without approximation error: the model that this one approximates, or the model itself."""
         return self
 
     @property
     def parts(self) -> tuple[ModalModel, ...]:
-        """Tuple of the models of single tests: the model itself, unless it combines several tests."""
+        """Models of the single tests; just the model itself unless it combines several tests."""
         return (self,)
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """First failures of a user's function, each with its point and its reason."""
+        """First failures of a user's function, each with its theta and reason."""
         return ()
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True if the model can have a sensor (place, direction); without a list of sensors it can."""
+        """Return True if the model can have a sensor at this (place, direction).
+
+        A model without a list of sensors accepts any.
+        """
         return True
 
     @contextmanager
     def spread_over(self, engine: Engine | None) -> Iterator[None]:
-        """Call users' functions, and solve large matrices, in an engine's workers, inside a ``with`` block."""
+        """In a ``with`` block, let an engine's workers call user functions and solve large matrices."""
         with ExitStack() as stack:
             if engine is not None:
                 for function in self.functions:
@@ -136,41 +139,41 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the duration of a user's function at theta (n_parameters,) in seconds; None without one."""
+        """Return how long a user's function took at theta (n_parameters,) in seconds, or None if there is none."""
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why a user's function gave no frequencies at theta (n_parameters,); None if not known."""
+        """Return why a user's function gave no frequencies at theta (n_parameters,), or None if it is unknown."""
         return None
 
     @property
     def test_of_modes(self) -> IntArray:
-        """Index of the test of each measured mode, shape (n_modes,)."""
+        """Index of each measured mode's test, shape (n_modes,)."""
         return np.zeros(self.n_modes, dtype=np.int64)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the structure that parameter `k` changes and the index of the parameter there, or None."""
+        """Return the structure that parameter `k` changes and its index there; None without matrices."""
         return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield name, model and own parameters of each test without frequencies at theta (n_parameters,).
+        """Yield the name, model and own parameters of each test without frequencies at theta (n_parameters,).
 
-        A model of one test yields nothing. All tests with a user's function are yielded, because the function
+        A model for one test yields nothing. All tests with a user's function are yielded, because the function
         knows where it has failed.
         """
         yield from ()
 
     def coarser(self, share: float) -> Self:
-        """Return a cheaper, less accurate model with a share of the reduced basis; itself if not reduced."""
+        """Return a cheaper, less accurate model with only a share of the reduced basis; itself if not reduced."""
         return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Return the values of `of`, applied to each structure and its own parameters, per measured mode.
+        """Call `of` with each structure and its own parameters, and return its values per measured mode.
 
         Parameters
         ----------
         theta : ndarray, shape (n, ndim)
-            Other parameters may follow those of the model.
+            Other parameters may follow the model's parameters.
         of : callable
             ``of(structure, parameters)`` returns an array (n, modes, …).
 
@@ -181,49 +184,49 @@ class ModalModel:
         return of(self, theta[:, : self.n_parameters])
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
+        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes); NaN where a solve failed."""
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return frequencies in Hz of a test's measured modes, at the test's own parameters (n, P)."""
+        """Return a test's measured-mode frequencies in Hz at the test's own parameters, shape (n, P)."""
         return self.frequencies(values)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
+        """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters)."""
         raise NotImplementedError
 
     def gives_curvature(self, shapes: bool) -> bool:
-        """Return True if `sensitivities` has second derivatives of frequencies, and of shapes if `shapes`."""
+        """Return True if `sensitivities` has second derivatives of frequencies and, with `shapes`, of shapes."""
         return not self.is_uncertain and (self.gives_shape_curvature or not shapes)
 
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies, gradients, and second derivatives along directions that are given later.
 
         ``found.gradient`` is the exact J (n, n_modes, n_parameters); ``found.curvature(d)`` with d of the same
-        shape then returns H_i d_i. For structures given by matrices, both are from one eigenproblem. By default,
-        exact gradients are differenced, which takes 2 n_modes more of them per theta.
+        shape then returns H_i d_i. For structures given by matrices, both come from one eigenproblem. By default,
+        exact gradients are differenced, which takes 2 n_modes more gradients per theta.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         steps : Steps
-            Sizes and bounds of the parameters, which limit differences.
+            Sizes and bounds of the parameters, which limit the difference steps.
         shapes : bool
-            Whether shapes at the sensors are asked for too; only if the model `gives_shape_curvature`.
+            Whether to compute shapes at the sensors too. Requires `gives_shape_curvature`.
         """
         return SensitivitiesByDifferences(self.frequencies_and_gradient, theta, steps)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
+        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
         raise NotImplementedError
 
     def configuration(self) -> Any:
-        """Return the data that identify the model, in plain Python types."""
+        """Return data that identify the model, as plain Python types."""
         raise NotImplementedError
 
 
 class PartialModel(ModalModel):
-    """Some modes of a model at some of its sensors.
+    """A model restricted to some of its modes and sensors.
 
     Parameters
     ----------
@@ -248,12 +251,12 @@ class PartialModel(ModalModel):
         return self.whole.frequencies(theta)[:, self._modes]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
+        """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters)."""
         frequencies, gradient = self.whole.frequencies_and_gradient(theta)
         return frequencies[:, self._modes], gradient[:, self._modes]
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
+        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
         seen = self.whole.observed(theta, gradient)
         f, df = seen.frequencies[:, self._modes], seen.frequency_slopes
         phi, dphi = seen.shapes[:, self._rows][:, :, self._modes], seen.shape_slopes
@@ -262,12 +265,12 @@ class PartialModel(ModalModel):
         return ModalPrediction(f, phi, df[:, self._modes], dphi[:, self._rows][:, :, self._modes])
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict that identifies the model, in plain Python types."""
+        """Return data that identify the model, as plain Python types."""
         return {"whole": self.whole.configuration(), "modes": self._modes, "rows": self._rows}
 
 
 class GivenModel(ModalModel):
-    """A user's own `FrequencyMap` as a `ModalModel`; attributes that the user's model lacks take the defaults."""
+    """Adapter from a user's own `FrequencyMap` to a `ModalModel`; missing attributes take the defaults."""
 
     def __init__(self, given: Any, n_sensors: int) -> None:
         self.given, self.n_sensors = given, n_sensors
@@ -282,15 +285,15 @@ class GivenModel(ModalModel):
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """The failures that the user's model has recorded."""
+        """Failures that the user's model has recorded."""
         return getattr(self.given, "reasons", ())
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return the user's frequencies; ValueError if the method raises or returns a wrong array."""
+        """Return the user's frequencies. Raise ValueError if the method raises or returns a wrong array."""
         return self._real("frequencies", self._call("frequencies", theta), (len(theta), self.n_modes))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the user's frequencies and gradients; ValueError as for `frequencies`."""
+        """Return the user's frequencies and gradients. Raise ValueError as `frequencies` does."""
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
         given = self._call(method, theta)
         if not (isinstance(given, tuple) and len(given) == 2):
@@ -316,7 +319,7 @@ class GivenModel(ModalModel):
         return array.astype(float, copy=False)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the user's prediction at the sensors; ValueError as for `frequencies`."""
+        """Return the user's prediction at the sensors. Raise ValueError as `frequencies` does."""
         given = self._call("observed", theta, gradient)
         if not isinstance(given, ModalPrediction):
             raise ValueError(
@@ -333,16 +336,15 @@ class GivenModel(ModalModel):
         )
 
     def configuration(self) -> Any:
-        """Return the user's configuration of the model or, without one, the name of the class."""
+        """Return the configuration of the user's model, or its class name if it has none."""
         describe = getattr(self.given, "configuration", None)
         return describe() if callable(describe) else f"{type(self.given).__module__}.{self.name}"
 
 
 def as_modal_model(given: ModalModel | FrequencyMap, n_sensors: int = 0) -> ModalModel:
-    """Return a model that is already paired as a `ModalModel`.
+    """Return a paired model unchanged, or wrap a user's own model as a `ModalModel`.
 
-    A user's own model is wrapped. Its shapes must be given at the `n_sensors` sensors at which shapes were
-    measured.
+    If a user's model gives shapes, they must be at the `n_sensors` sensors at which shapes were measured.
     """
     return given if isinstance(given, ModalModel) else GivenModel(given, n_sensors)
 

@@ -1,4 +1,4 @@
-"""Black-box models whose modes are paired with the measured modes, and their gradients."""
+"""Black-box models whose modes are paired with measured modes, and their gradients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PairedBlackBox(ModalModel):
     ----------
     black_box : BlackBoxModel
     answer : Answer
-        Result of the function at the start, which shows what the function returns.
+        Function result at the starting point, which shows what the function returns.
     pairing : {"shape", "index"}
         ``"shape"``: one to one by MAC, if shapes were measured and the function returns shapes; otherwise, and
         with ``"index"``, by number.
@@ -75,14 +75,14 @@ class PairedBlackBox(ModalModel):
 
     @classmethod
     def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
-        """Return the paired model of a function, which is called once, at `start` (n_parameters,).
+        """Call the function once, at `start` (n_parameters,), and return its paired model.
 
-        The other parameters are those of the class.
+        The other arguments are those of the class.
 
         Raises
         ------
         ValueError
-            If the pairing is unknown, or the function fails at the start or gives too few modes.
+            If the pairing is unknown, or the function fails at the starting point or gives too few modes.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -101,7 +101,7 @@ class PairedBlackBox(ModalModel):
 
     @property
     def reasons(self) -> list[Failure]:
-        """First failures of the function, each with its point and its reason."""
+        """First failures of the function, each with its theta and reason."""
         return self.black_box.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -109,11 +109,10 @@ class PairedBlackBox(ModalModel):
         return self._pair_modes(theta)[0]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
+        """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters).
 
-        The gradients are the function's own or, without these, central differences of the frequencies with the
-        perturbations of eq. (15) of the paper. The differences are one-sided at a bound, or where the function
-        fails on one side.
+        The gradients come from the function if it returns them. Otherwise they are central differences with the
+        perturbations in eq. (15) of the paper, one-sided at a bound or where the function fails on one side.
         """
         frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -124,9 +123,10 @@ class PairedBlackBox(ModalModel):
         return frequencies, gradient
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives.
+        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`.
 
-        Slopes of shapes are central differences. So are slopes of frequencies if the function returns no gradient.
+        Shape derivatives are central differences; so are frequency derivatives if the function returns no
+        gradient.
 
         Raises
         ------
@@ -154,11 +154,11 @@ class PairedBlackBox(ModalModel):
         )
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict that identifies the model, in plain Python types."""
+        """Return data that identify the model, as plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why there are no frequencies at theta (n_parameters,), a failure or a missing mode, or None."""
+        """Return why there are no frequencies at theta (n_parameters,), or None if no reason is known."""
         solve = self.black_box.solved.recall(theta)
         if solve is None or solve.reason:
             return None if solve is None else solve.reason
@@ -169,7 +169,7 @@ class PairedBlackBox(ModalModel):
         return None
 
     def _pair_modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the paired frequencies, the function's own gradients and the shapes, NaN where missing."""
+        """Return the paired frequencies, the function's own gradients and the shapes, with NaN where missing."""
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)
         for i, solve in enumerate(self.black_box.solved.of(theta)):
@@ -188,7 +188,7 @@ class PairedBlackBox(ModalModel):
         return f, df, phi
 
     def _columns(self, answer: Answer | Solve) -> IntArray:
-        """Return the column of the mode paired with each measured mode; AnswerError if a mode is missing."""
+        """Return the index of the mode paired with each measured mode. Raise AnswerError if one is missing."""
         given = len(answer.frequencies)
         if self.reference is None:
             if max(self.numbers) > given:
@@ -213,9 +213,9 @@ class PairedBlackBox(ModalModel):
     def _differences(
         self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
     ) -> FloatArray:
-        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by central differences.
+        """Return derivatives (n, k, n_parameters) of the values `here` (n, k), by central differences.
 
-        ``nearby(points, of)`` returns the values at points, where `of` gives the row of theta of each point.
+        ``nearby(points, of)`` returns the values at points, where `of` gives the row of theta for each point.
         """
         n, ndim = theta.shape
         points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)

@@ -1,4 +1,4 @@
-"""Structures given by their matrices, whose modes are paired with the measured modes."""
+"""Structures given by their matrices, with modes that are paired with measured modes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PairedStructure(ModalModel):
     ----------
     structure : SeparableModel
     blocks : tuple of Block
-        Blocks of the structure that are solved, full or reduced.
+        Decoupled blocks of the structure, full or reduced, that are solved.
     rule : IndexPairing or ShapePairing
     n_modes : int
         Number of measured modes.
@@ -58,16 +58,16 @@ class PairedStructure(ModalModel):
     at_sensors : bool
         Whether the rule compares shapes at the sensors.
     pairing : RankPairing, optional
-        Fixed ranks, if the rule is known to give the same ranks everywhere; by default the rule itself.
+        Fixed ranks, if the rule is known to give the same ranks everywhere. Defaults to the rule itself.
 
     Attributes
     ----------
     softness : float
-        Temperature of the weights of a soft pairing, otherwise 0.
+        Temperature for the weights of a soft pairing, otherwise 0.
     sensors : tuple of (node, direction)
         The sensors given to `seen_by`; otherwise empty.
     why_full : str
-        Sentence on why there is no reduced model although one was trained; otherwise empty.
+        Why there is no reduced model although one was trained, as a sentence; otherwise empty.
     """
 
     gives_shapes = True
@@ -111,7 +111,7 @@ class PairedStructure(ModalModel):
         counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
     ) -> PairedStructure:
-        """Return a model paired with a measurement; reference modes are computed where they are needed.
+        """Pair a model with a measurement; reference modes are computed if the pairing needs them.
 
         Parameters
         ----------
@@ -124,20 +124,20 @@ class PairedStructure(ModalModel):
         numbers : tuple of int
             Number (from 1) of each measured mode.
         elastic_from_hz : float, optional
-            The lowest measured frequency, given if number 1 is the first elastic mode: modes at a vanishing share
-            of this frequency are the rigid-body modes of a free structure. By default, `numbers` count rigid-body
-            modes too.
+            The lowest measured frequency, given if number 1 is the first elastic mode: modes far below this
+            frequency are then rigid-body modes of a free structure. By default, `numbers` count rigid-body modes
+            too.
         sensors : tuple of (node, direction)
             Measured degrees of freedom; all translations if empty.
         reference : ndarray, shape (n_parameters,)
-            Parameters of the model before updating.
+            Model parameters before updating.
         shapes : ndarray, shape (n_sensors, n_modes), optional
             Measured shapes.
         counterparts : tuple of int, optional
             If no shapes were measured: for each measured mode, the number (from 1) of its counterpart among the
-            modes at `reference` that the sensors can see; the lowest of these modes in ascending order if empty.
+            modes at `reference` that the sensors can see. If empty, these are the lowest visible modes in order.
         softness : float
-            Temperature of the weights of ``"soft"``: `fmu.fem.pairing.rules.SoftPairing`.
+            Temperature for the weights of ``"soft"``: `fmu.fem.pairing.rules.SoftPairing`.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class PairedStructure(ModalModel):
 
     @property
     def full_blocks(self) -> tuple[FullBlock, ...]:  # type: ignore[override]
-        """The blocks that are not reduced."""
+        """Blocks that are not reduced."""
         return tuple(block for block in self.blocks if isinstance(block, FullBlock))
 
     def __repr__(self) -> str:
@@ -188,19 +188,19 @@ class PairedStructure(ModalModel):
     def solved_by(
         self, blocks: tuple[Block, ...], pairing: IndexPairing | ShapePairing | RankPairing
     ) -> PairedStructure:
-        """Return the same structure and measured modes, solved with other blocks and another pairing."""
+        """Return a copy that is solved with other blocks and another pairing."""
         own = (self.rule, self.n_modes, self._sensors, self._at_sensors)
         return PairedStructure(self.structure, blocks, *own, pairing)
 
     def seen_by(self, sensors: tuple[Dof, ...]) -> PairedStructure:
-        """Return the same structure and pairing, whose `observed` gives shapes at other sensors."""
+        """Return a copy with the same pairing, for which `observed` gives shapes at other sensors."""
         own = (self.structure, self.blocks, self.rule, self.n_modes, self.structure.observation(sensors))
         other = PairedStructure(*own, self._at_sensors, self.pairing)
         other.sensors = sensors
         return other
 
     def kept_full(self, size: int) -> PairedStructure:
-        """Return a copy whose `why_full` says that a reduced model of `size` unknowns is of no use."""
+        """Return a copy with a `why_full` that says a reduced model with `size` unknowns would not help."""
         other = copy(self)
         other.why_full = (
             f"The full model answers: a reduced one of {size} unknowns is not accurate within these bounds, and "
@@ -210,15 +210,15 @@ class PairedStructure(ModalModel):
 
     @cached_property
     def rows(self) -> list[Matrix]:
-        """List of the sensor rows of each block, computed on demand: many problems have no errors of shapes."""
+        """Sensor rows of each block, computed on demand because many problems do not use mode shapes."""
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.blocks]
 
     @cached_property
     def _compared(self) -> dict[int, Observation]:
-        """The coordinates of comparison of each block, and the references there, for a pairing by shape.
+        """For a pairing by shape, each block's comparison coordinates and the reference shapes there.
 
-        Shapes are compared at the sensors or, where none were measured, in a basis of all shapes that a reduced
-        block can have.
+        Shapes are compared at the sensors or, if none were measured, in a basis of all shapes that a reduced block
+        can have.
         """
         assert self.rule.by_shape  # for the type checker
         found = {}
@@ -229,16 +229,16 @@ class PairedStructure(ModalModel):
         return found
 
     def solve(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return `modes` without a count of the solves, on the present number of threads."""
+        """Solve as `modes` does, without counting the solves or changing the number of threads."""
         return self.pairing.solve(self.blocks, theta, gradient, self._observed)
 
     def see(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return `observed` without a count of the solves, on the present number of threads."""
+        """Predict as `observed` does, without counting the solves or changing the number of threads."""
         located = self.pairing.locate(self.blocks, theta, gradient, self._observed)
         return predict_modes(self.blocks, located, self.rows, theta, gradient)
 
     def choose(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return `seen_candidates` without a count of the solves, on the present number of threads."""
+        """Return `seen_candidates`, without counting the solves or changing the number of threads."""
         assert self.rule.by_shape  # for the type checker
         return predict_candidates(self.blocks, self.rule, self._compared, self._at_sensors, theta, gradient)
 
@@ -247,13 +247,13 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
+        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
         return _solve_counted(self.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return all candidates for a pairing with the measured modes, at theta (n, n_parameters).
+        """Return all candidates for pairing with the measured modes at theta (n, n_parameters).
 
-        The candidates have derivatives if `gradient`. The pairing must be by shape, soft or not.
+        They have derivatives if `gradient`. The pairing must be by shape, soft or not.
         """
         return _solve_counted(self.choose, theta, gradient)
 
@@ -262,7 +262,7 @@ class PairedStructure(ModalModel):
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
+        """Return frequencies in Hz, shape (n, n_modes), and exact gradients, shape (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
@@ -272,20 +272,20 @@ class PairedStructure(ModalModel):
             return self.solve_sensitivities(theta, shapes)
 
     def solve_sensitivities(self, theta: FloatArray, shapes: bool) -> Sensitivities:
-        """Return `sensitivities` without a count of the solves, on the present number of threads."""
+        """Return `sensitivities`, without counting the solves or changing the number of threads."""
         located = self.pairing.locate(self.blocks, theta, True, self._observed)
         counts, sensors = self.pairing.counts(self.blocks), self.rows if shapes else None
         return StructureSensitivities(self.blocks, located, counts, theta, sensors)
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return the eigenvalues of all candidate modes, and of one more mode per block.
+        """Return the eigenvalues in (rad/s)² of all candidate modes, and of one more mode per block.
 
         Returns
         -------
         eigenvalues : ndarray, shape (n, n_candidates)
             NaN where a solve failed, and for modes that a reduced model was not trained for.
         block, rank : ndarray of int, shape (n_candidates,)
-            Index of each mode's block, and index (from 0) of the mode within that block.
+            Each mode's block index, and its index (from 0) within that block.
         """
         count_solves(len(theta))
         counts = self.candidate_counts()
@@ -294,7 +294,7 @@ class PairedStructure(ModalModel):
         return found, *candidate_numbers(counts)
 
     def candidate_counts(self) -> dict[int, int]:
-        """Return a dict from block index to the number of modes that `candidates` gives."""
+        """Return the number of modes that `candidates` gives for each block, by block index."""
         counts = self.rule.counts(self.blocks)
         return {b: min(count + 1, self.blocks[b].n_modes) for b, count in counts.items()}
 
@@ -316,10 +316,9 @@ class PairedStructure(ModalModel):
         return sparse_solver() if largest > DENSE_LIMIT else LAPACK
 
     def shapes(self, theta: FloatArray) -> FloatArray:
-        """Return the shapes of the paired modes, shape (n_dof, n_modes), at theta (n_parameters,).
+        """Return the mass-normalised shapes of the paired modes at theta (n_parameters,), shape (n_dof, n_modes).
 
-        The shapes are mass-normalised. They are zero in the blocks that a mode does not move, and NaN where a
-        solve failed.
+        They are zero in blocks that a mode does not move, and NaN where a solve failed.
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)
@@ -327,7 +326,7 @@ class PairedStructure(ModalModel):
             return join_shapes(self.blocks, point, modes, self.rule.counts(self.blocks))
 
     def fingerprint(self) -> str:
-        """Return a hash of all data on which the frequencies depend."""
+        """Return a hash of all data that the frequencies depend on."""
         digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
         matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
         of_rule, its_matrices = self.rule.identity()
@@ -340,7 +339,7 @@ class PairedStructure(ModalModel):
         return digest.hexdigest()
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict that identifies the model, in plain Python types."""
+        """Return data that identify the model, as plain Python types."""
         n_rigid = 0 if self.rule.by_shape else self.rule.n_rigid
         return {
             "structure": repr(self.structure),
@@ -350,26 +349,26 @@ class PairedStructure(ModalModel):
 
 
 def structure_of(model: ModalModel) -> PairedStructure | None:
-    """Return the structure, given by its matrices, that a model is or approximates; None without one."""
+    """Return the structure that a model is or approximates, or None if it is not given by matrices."""
     truth = model.truth
     return truth if isinstance(truth, PairedStructure) else None
 
 
 def largest_block(model: ModalModel) -> int:
-    """Return the degrees of freedom of the largest block of a model's matrices; 0 for a model without matrices."""
+    """Return the number of degrees of freedom in a model's largest block, or 0 without matrices."""
     structure = structure_of(model)
     return 0 if structure is None else max(block.size for block in structure.blocks)
 
 
 def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies in Hz (n, n_modes) and their gradients (n, n_modes, n_parameters) of solved modes."""
+    """Convert solved modes to frequencies in Hz, (n, n_modes), and gradients, (n, n_modes, n_parameters)."""
     assert modes.gradient is not None  # for the type checker: the caller has requested the gradients
     frequencies = frequency_hz(modes.eigenvalues)
     return frequencies, frequency_gradient(frequencies, modes.gradient)
 
 
 def candidate_numbers(counts: Mapping[int, int]) -> tuple[IntArray, IntArray]:
-    """Return the block index and the index within its block of `counts[b]` modes of each block b."""
+    """Return the block index and the index within its block for the lowest `counts[b]` modes of each block b."""
     ranks = np.concatenate([np.arange(count) for count in counts.values()])
     return np.repeat(list(counts), list(counts.values())), ranks
 

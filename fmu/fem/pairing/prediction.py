@@ -1,4 +1,4 @@
-"""Predicted modes of a structure at the sensors: the paired modes, or all candidates with their MAC."""
+"""A structure's predicted modes at the sensors: the paired modes, or all candidates with their MAC."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UNSEEN = 1e-12
 
 @dataclass(frozen=True)
 class ModalPrediction:
-    """Prediction of the result of a modal test at n parameter vectors.
+    """Predicted result of a modal test at n parameter vectors.
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class ModalPrediction:
 
     @property
     def failed(self) -> BoolArray:
-        """Mask of the modes that have no solution, shape (n, n_modes)."""
+        """Mask of modes whose solve failed, shape (n, n_modes)."""
         return np.isnan(self.frequencies)
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate modes, at n parameter vectors, for a pairing with m measured modes.
+    """Candidate modes for pairing with m measured modes, at n parameter vectors.
 
     Attributes
     ----------
@@ -65,8 +65,8 @@ class Candidates:
     shapes : ndarray, shape (n, n_sensors, k)
         Shapes at the sensors if shapes were measured, otherwise empty: n_sensors = 0.
     mac : ndarray, shape (n, m, k)
-        MAC with the measured shapes or the references; −inf for a mode that moves none of the coordinates
-        compared.
+        MAC with the measured shapes or the references; −inf for a mode that moves none of the compared
+        coordinates.
     frequency_slopes : ndarray, shape (n, k, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, k, n_parameters), or None
     mac_slopes : ndarray, shape (n, m, k, n_parameters), or None
@@ -81,12 +81,15 @@ class Candidates:
 
     @property
     def failed(self) -> BoolArray:
-        """Mask of the modes that have no solution, shape (n, k)."""
+        """Mask of modes whose solve failed, shape (n, k)."""
         return np.isnan(self.frequencies)
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
-    """Return a copy of a dataclass of arrays (n, …) with `rows` taken from `other`; None remains None."""
+    """Return a copy of a dataclass of arrays (n, …) with `rows` replaced by those in `other`.
+
+    Attributes that are None stay None.
+    """
     replaced = {}
     for name, mine in vars(batch).items():
         if mine is not None:
@@ -97,7 +100,7 @@ def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: 
 
 
 def join_batches[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
-    """Return the batches, dataclasses of arrays (n, …), joined along the first axis; None remains None."""
+    """Concatenate dataclasses of arrays (n, …) along the first axis. Attributes that are None stay None."""
     columns = {name: [vars(part)[name] for part in parts] for name in vars(parts[0])}
     return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
 
@@ -109,7 +112,7 @@ def predict_modes(
     theta: FloatArray,
     gradient: bool,
 ) -> ModalPrediction:
-    """Return the paired modes of a model, full or reduced, as seen by its sensors, with derivatives if `gradient`.
+    """Predict the paired modes at the sensors with a full or reduced model, with derivatives if `gradient`.
 
     Parameters
     ----------
@@ -117,7 +120,7 @@ def predict_modes(
     located : tuple
         The result of `fmu.fem.pairing.rules.Pairing.locate` at theta.
     rows : sequence of array or sparse, each of shape (n_sensors, size)
-        The sensor rows of each block, from `Block.coordinates`.
+        Sensor rows of each block, from `Block.coordinates`.
     theta : ndarray, shape (n, n_parameters)
     gradient : bool
     """
@@ -154,14 +157,14 @@ def predict_candidates(
     theta: FloatArray,
     gradient: bool,
 ) -> Candidates:
-    """Return all modes of a model, full or reduced, that are candidates for a pairing.
+    """Predict all modes of a full or reduced model that are candidates for pairing.
 
     Parameters
     ----------
     blocks : sequence of Block
     rule : ShapePairing
     compared : mapping of int to Observation
-        The coordinates of comparison of each block, and the references there.
+        Each block's comparison coordinates, and the reference shapes there.
     at_sensors : bool
         Whether these coordinates are the sensors, so that the shapes there are needed in addition to their MAC.
     theta : ndarray, shape (n, n_parameters)
@@ -191,7 +194,7 @@ def predict_candidates(
 def _compare(
     psi: FloatArray, reference_size: FloatArray, seen: BlockPrediction
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), with slopes if shapes have slopes.
+    """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), and its derivatives if shapes have them.
 
     With c = ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
     """

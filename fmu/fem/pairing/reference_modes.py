@@ -1,4 +1,4 @@
-"""Reference shapes for a pairing from a model before updating, and the number of its rigid-body modes."""
+"""Reference shapes for pairing, computed with the model before updating, and its number of rigid-body modes."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ def reference_modes(
     n_modes: int,
     counterparts: tuple[int, ...] = (),
 ) -> ShapePairing:
-    """Return the pairing with the elastic modes of a reference model that the sensors can see.
+    """Return a pairing by shape whose references are a model's elastic modes that the sensors can see.
 
-    Without measured shapes, a mode that moves none of the sensors cannot have been measured. Of the modes that the
-    sensors can see, the lowest `n_modes` are taken in ascending order, or the `counterparts`.
+    Without measured shapes, a mode that moves none of the sensors cannot have been measured. The references are
+    the lowest `n_modes` visible modes in ascending order, or the `counterparts`.
 
     Parameters
     ----------
     blocks : sequence of Block
         Unreduced.
     theta : ndarray, shape (n_parameters,)
-        Parameters of the reference model, usually those before updating.
+        Parameters of the reference model, usually before updating.
     sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
         The sensors, and the coordinates at which the shapes will be compared.
     n_modes : int
         Number of measured modes.
     counterparts : tuple of int, optional
-        For each measured mode, the number (from 1) of its counterpart among the modes that the sensors can see.
+        For each measured mode, the number (from 1) of its counterpart among the visible modes.
 
     Raises
     ------
@@ -63,10 +63,11 @@ def reference_modes(
 
 
 def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
-    """Return the number of rigid-body modes below the elastic modes at theta (n_parameters,).
+    """Return the number of rigid-body modes at theta (n_parameters,).
 
-    If there is a very stiff spring, every other mode has a vanishing share of the highest frequency. If a measured
-    frequency `elastic_hz` is given, a rigid-body mode must therefore have a vanishing share of that frequency too.
+    A rigid-body mode has a vanishing frequency compared with the highest one. A very stiff spring would make every
+    other mode look rigid. If a measured frequency `elastic_hz` is given, a rigid-body mode must therefore be far
+    below it too.
     """
     count = min(n_modes + 7, count_modes(blocks))  # at most six rigid-body modes, and one elastic mode
     lam = solve_spectrum(blocks, np.atleast_2d(theta), count).eigenvalues[0]
@@ -77,7 +78,7 @@ def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elasti
 def _visible_modes(
     blocks: Sequence[Block], theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
 ) -> tuple[FloatArray, IntArray]:
-    """Return shapes (n, q) at `rows`, and ranks (n,) in their blocks, of elastic modes that sensors see."""
+    """Return the shapes at `rows`, (n, q), and ranks in their blocks, (n,), of elastic modes that sensors see."""
     point = np.atleast_2d(theta)
     spectrum = solve_spectrum(blocks, point, count)
     shapes = np.ascontiguousarray(join_shapes(blocks, point, spectrum).T)

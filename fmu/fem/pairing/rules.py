@@ -4,6 +4,8 @@ Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape
 the one-to-one assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple,
 so that the assignment by shape usually cannot change inside a decoupled block. Where the assignment is verified to
 be constant, each mode has a fixed rank within its block, and eigenvalues suffice.
+
+A mode's rank is its index (from 0) among the modes of its block.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ Observed = Mapping[int, Observation] | None
 
 
 class Pairing(ABC):
-    """A rule that says which modes of a model are paired with the measured modes, and solves for them.
+    """A rule that decides which computed modes are paired with the measured modes, and solves for them.
 
     Attributes
     ----------
@@ -43,12 +45,12 @@ class Pairing(ABC):
     is_constant: ClassVar[bool] = False
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return a dict from each block whose shapes are compared to its `Observation`; empty without shapes."""
+        """Return the `Observation` of each block whose shapes are compared; empty if no shapes are compared."""
         return {}
 
     @abstractmethod
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
+        """Return how many of the lowest modes to solve for in each block to include all paired modes."""
 
     @abstractmethod
     def solve(
@@ -56,30 +58,30 @@ class Pairing(ABC):
     ) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with eigenvalue gradients if `gradient`.
 
-        `observed` is the result of `observe`, if it is known.
+        `observed` is the result of `observe`, if it is already known.
         """
 
     @abstractmethod
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved for.
+        """Return the block and rank of each paired mode, shapes (n, n_modes), and the solved modes by block.
 
-        Block and rank are −1 in rows where a solve failed. With `gradient`, as many modes are solved for as
-        `Block.seen` needs for derivatives.
+        Block and rank are −1 in rows where a solve failed. With `gradient`, enough modes are solved for
+        `Block.seen` to compute derivatives.
         """
 
 
 @dataclass(frozen=True)
 class RankPairing(Pairing):
-    """Pairing of measured mode i with mode ``rank[i]`` (from 0) of block ``block[i]``, at every theta."""
+    """Pairing, at every theta, of measured mode i with the mode of rank ``rank[i]`` in block ``block[i]``."""
 
     block: tuple[int, ...]
     rank: tuple[int, ...]
     is_constant: ClassVar[bool] = True
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
+        """Return how many of the lowest modes to solve for in each block to include all paired modes."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
 
@@ -90,12 +92,12 @@ class RankPairing(Pairing):
 
     @cached_property
     def _columns(self) -> list[IntArray]:
-        """The measured modes of each block, by ascending index of the block."""
+        """Indices of the measured modes in each block, by ascending block index."""
         return [np.flatnonzero(self._labels[0][0] == b) for b in np.unique(self.block)]
 
     @cached_property
     def _parts(self) -> list[tuple[int, int, slice | IntArray]]:
-        """For each block its index, the number of its modes to solve for, and the ranks of the paired modes."""
+        """For each block: its index, how many modes to solve for, and the ranks of the paired modes."""
         parts: list[tuple[int, int, slice | IntArray]] = []
         for columns in self._columns:
             ranks = self._labels[1][0, columns]
@@ -104,13 +106,13 @@ class RankPairing(Pairing):
 
     @cached_property
     def _order(self) -> IntArray:
-        """The order that turns the modes of one block after the other into the order of the measured modes."""
+        """Permutation from modes sorted by block to the order of the measured modes."""
         return np.argsort(np.concatenate(self._columns))
 
     def solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
-        """Return the paired modes, solved for in their blocks only, and for shapes only with `gradient`."""
+        """Return the paired modes, solving only their blocks, and computing shapes only with `gradient`."""
         values, slopes = [], []
         for b, count, ranks in self._parts:
             block = blocks[b]
@@ -128,7 +130,7 @@ class RankPairing(Pairing):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m), and an empty dict."""
+        """Return each mode's block and rank at theta (n, n_parameters), shapes (n, m), and an empty dict."""
         block, rank = self._labels
         return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
 
@@ -137,7 +139,7 @@ class RankPairing(Pairing):
 
 
 def _as_slice(indices: IntArray) -> slice | IntArray:
-    """Return consecutive indices as a slice, which NumPy takes without copying, other indices unchanged."""
+    """Return consecutive indices as a slice, with which NumPy copies nothing; return other indices unchanged."""
     first = int(indices[0])
     consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
     return slice(first, first + len(indices)) if consecutive else indices
@@ -145,7 +147,7 @@ def _as_slice(indices: IntArray) -> slice | IntArray:
 
 @dataclass(frozen=True)
 class IndexPairing(Pairing):
-    """The paper's pairing, of measured mode i with mode ``numbers[i]`` (from 1) of the sorted spectrum.
+    """The paper's pairing of measured mode i with mode ``numbers[i]`` (from 1) in the sorted spectrum.
 
     Attributes
     ----------
@@ -168,13 +170,13 @@ class IndexPairing(Pairing):
     def solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
-        """Return the modes of these numbers in the spectra of all blocks, sorted together."""
+        """Return the modes with these numbers in the merged, sorted spectrum of all blocks."""
         return solve_spectrum(blocks, theta, max(self.numbers), gradient).columns(np.array(self.numbers) - 1)
 
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the paired modes; see `Pairing`."""
+        """Return the block and rank of each paired mode; see `Pairing`."""
         if len(blocks) == 1:  # a number is a rank, so that nothing is solved for
             rank = np.tile(np.array(self.numbers) - 1, (len(theta), 1))
             return np.zeros_like(rank), rank, {}
@@ -183,13 +185,13 @@ class IndexPairing(Pairing):
         return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return a dict from block index to the number of its lowest modes that may be paired."""
+        """Return how many of the lowest modes in each block may be paired, by block index."""
         return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(blocks) if block.n_modes}
 
     def find_needed(
         self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return None and a dict of the modes needed per block; see `ShapePairing.find_needed`."""
+        """Return None, and how many modes are needed in each block; see `ShapePairing.find_needed`."""
         values = [eigenvalues[b] for b in sorted(eigenvalues)]
         highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.numbers) - 1]
         # one mode more than was ever among the lowest shows that no mode is missing
@@ -197,7 +199,7 @@ class IndexPairing(Pairing):
         return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
-        """Return the bytes and sparse matrices that identify the rule, together with the name of its class."""
+        """Return the bytes and sparse matrices that, with the class name, identify the rule."""
         return repr(self).encode(), ()
 
 
@@ -213,8 +215,8 @@ class ShapePairing(Pairing):
     shapes : ndarray, shape (q, n_modes)
         Reference shapes at these coordinates: measured shapes, or shapes of the model before updating.
     margin : int
-        Number of candidates of each block beyond the number of references: modes below the references that were
-        not measured, such as rigid-body modes, and a few modes above.
+        Number of candidates in each block beyond the number of references. It allows for unmeasured modes below
+        the references, such as rigid-body modes, and for a few modes above.
     """
 
     rows: sp.csr_array
@@ -228,7 +230,7 @@ class ShapePairing(Pairing):
     def solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
-        """Return the modes assigned by MAC among the modes of every block in which a reference moves."""
+        """Return the modes assigned by MAC among the modes of all blocks in which a reference moves."""
         solved, merged, (block, rank, column) = self._solve(blocks, theta, False, observed)
         # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
@@ -243,7 +245,7 @@ class ShapePairing(Pairing):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the paired modes, and the modes of the blocks solved for; see `Pairing`."""
+        """Return the block and rank of each paired mode, and the solved modes by block; see `Pairing`."""
         solved, merged, (owner, rank, _) = self._solve(blocks, theta, gradient, observed)
         failed = np.isnan(merged).any(axis=1, keepdims=True)
         return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
@@ -263,15 +265,15 @@ class ShapePairing(Pairing):
         return solved, np.concatenate(values, axis=1), self.assign_modes(observed, shapes)
 
     def n_candidates(self, blocks: Sequence[Block], b: int) -> int:
-        """Return the number of modes that block `b` offers as candidates."""
+        """Return the number of candidate modes in block `b`."""
         return min(self.shapes.shape[1] + self.margin, blocks[b].n_modes)
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return a dict from block index to the number of its lowest modes that may be paired."""
+        """Return how many of the lowest modes in each block may be paired, by block index."""
         return {b: self.n_candidates(blocks, b) for b in self.observe(blocks)}
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return a dict from each block in which a reference moves to its `Observation` of shapes."""
+        """Return the `Observation` of each block in which a reference moves, by block index."""
         observed = {}
         for b, block in enumerate(blocks):
             seen = self.rows[:, block.dofs]
@@ -283,14 +285,14 @@ class ShapePairing(Pairing):
     def find_needed(
         self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return the pairing as fixed ranks if exact, else None, and a dict of the modes needed per block.
+        """Return the pairing as fixed ranks, or None if it varies, and how many modes are needed in each block.
 
         Parameters
         ----------
         blocks : sequence of Block
         eigenvalues : mapping of int to ndarray, shape (n, n_candidates)
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
-            Modes of each block of `counts` at points that cover the parameter box, its corners among them.
+            Modes of each block of `counts` at points that cover the parameter box, including its corners.
         """
         fixed = self.constant(blocks, shapes)
         if fixed is None:
@@ -299,7 +301,7 @@ class ShapePairing(Pairing):
         return fixed, {b: 1 + max(r for owner, r in ranks if owner == b) for b in fixed.block}
 
     def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return the assignment by MAC as fixed ranks if it is the same at every theta sampled, else None."""
+        """Return the MAC assignment as fixed ranks if it is the same at every sampled theta; otherwise None."""
         observed = self.observe(blocks)
         found: RankPairing | None = None
         for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):
@@ -314,7 +316,7 @@ class ShapePairing(Pairing):
     def assign_modes(
         self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
     ) -> tuple[IntArray, IntArray, IntArray]:
-        """Return block, rank and candidate column of the mode assigned to each reference, (n, n_modes).
+        """Return the block, rank and candidate column of the mode assigned to each reference, (n, n_modes).
 
         Parameters
         ----------
@@ -335,7 +337,7 @@ class ShapePairing(Pairing):
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
-        """Return the bytes and sparse matrices that identify the rule, together with the name of its class."""
+        """Return the bytes and sparse matrices that, with the class name, identify the rule."""
         return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
 
 
@@ -343,7 +345,7 @@ class ShapePairing(Pairing):
 class SoftPairing(ShapePairing):
     """Pairing of every measured mode with every candidate, with normalised weights exp(MAC/τ).
 
-    The solver is that of `ShapePairing` and gives the modes of the one-to-one assignment. A soft pairing is never
+    The solver is that of `ShapePairing`, and gives the modes of the one-to-one assignment. A soft pairing is never
     constant, because all candidates are needed everywhere.
 
     Attributes
@@ -366,7 +368,7 @@ class SoftPairing(ShapePairing):
 
 
 def assign(mac: FloatArray) -> IntArray:
-    """Return the column of the mode assigned to each reference, one to one, with the largest total MAC.
+    """Return the mode assigned to each reference, one to one, so that the total MAC is largest.
 
     Parameters
     ----------
@@ -375,11 +377,12 @@ def assign(mac: FloatArray) -> IntArray:
     Returns
     -------
     ndarray of int, shape (n, n_modes)
+        Candidate indices.
 
     Notes
     -----
-    If the best candidates of all references differ, they are the optimum. The assignment solver is called only for
-    rows where two references share their best candidate.
+    If the references' best candidates are all different, they are the optimum. The assignment solver is called
+    only for rows where two references share their best candidate.
     """
     best = np.argmax(mac, axis=2)
     ordered = np.sort(best, axis=1)

@@ -24,7 +24,7 @@ _STEP = 1e-4
 
 
 class Steps(NamedTuple):
-    """Sizes and limits of the steps by which exact gradients are differenced.
+    """Sizes and limits for the difference steps applied to exact gradients.
 
     Attributes
     ----------
@@ -39,14 +39,14 @@ class Steps(NamedTuple):
 
 
 class Sensitivities:
-    """Frequencies of a model with their derivatives, at n parameter vectors.
+    """A model's frequencies and their derivatives at n parameter vectors.
 
     Attributes
     ----------
     frequencies : ndarray, shape (n, m), Hz; NaN where a solve failed
     gradient : ndarray, shape (n, m, n_parameters)
     shapes, shape_slopes : ndarray, shapes (n, q, m) and (n, q, m, n_parameters), or None
-        Shapes at the q sensors and their derivatives, if they were asked for.
+        Shapes at the q sensors and their derivatives, if requested.
     """
 
     frequencies: FloatArray
@@ -56,7 +56,7 @@ class Sensitivities:
 
     @property
     def prediction(self) -> ModalPrediction:
-        """The prediction of the modes, with derivatives, and with shapes if they were asked for."""
+        """Frequencies and derivatives as a prediction, with shapes if they were requested."""
         n, m = self.frequencies.shape
         shapes = np.empty((n, 0, m)) if self.shapes is None else self.shapes
         return ModalPrediction(self.frequencies, shapes, self.gradient, self.shape_slopes)
@@ -69,13 +69,13 @@ class Sensitivities:
         d : ndarray, shape (n, m, n_parameters)
             A direction for each mode at each theta, of any length.
         of_shapes : ndarray, shape (n, q, m, n_parameters), optional
-            Weights C of second derivatives of shapes: Σ_sj C_sj ∂²φ_s/∂θ_j∂θ of each mode is added.
+            Weights C for second derivatives of shapes: Σ_sj C_sj ∂²φ_s/∂θ_j∂θ is added for each mode.
         """
         raise NotImplementedError
 
 
 class SensitivitiesByDifferences(Sensitivities):
-    """Exact gradients of any model, and central differences of them.
+    """Exact gradients of any model, with second derivatives by central differences.
 
     Parameters
     ----------
@@ -92,9 +92,10 @@ class SensitivitiesByDifferences(Sensitivities):
         self.frequencies, self.gradient = solve(theta)
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return H_i d_i by 2 m gradients per theta; see `Sensitivities`.
+        """Return H_i d_i from 2 m gradients per theta; see `Sensitivities`.
 
-        At a bound the middle of the difference is moved inwards by a step, and the relative error is of its order.
+        At a bound, the midpoint of the difference is moved inwards by one step. The relative error is then of the
+        order of the step.
         """
         n, m, p = d.shape
         lower, upper = self._steps.bounds
@@ -114,8 +115,9 @@ class JoinedSensitivities(Sensitivities):
     Parameters
     ----------
     n : int
+        Number of rows in the batch.
     parts : sequence of (rows, Sensitivities)
-        Rows of the batch, as a slice or a mask, and what was solved for them. Later parts replace earlier ones.
+        Batch rows, as a slice or a mask, and their sensitivities. Later parts replace earlier ones.
     """
 
     def __init__(self, n: int, parts: Sequence[tuple[slice | BoolArray, Sensitivities]]) -> None:
@@ -132,7 +134,7 @@ class JoinedSensitivities(Sensitivities):
                 self.shapes[rows], self.shape_slopes[rows] = part.shapes, part.shape_slopes
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return second derivatives along `d` plus the weighted ones of shapes; see `Sensitivities.curvature`."""
+        """Return second derivatives along `d`, plus weighted ones of shapes; see `Sensitivities.curvature`."""
         found = np.empty(d.shape)
         for rows, part in self._parts:
             found[rows] = part.curvature(d[rows], None if of_shapes is None else of_shapes[rows])
@@ -140,19 +142,19 @@ class JoinedSensitivities(Sensitivities):
 
 
 class _Solved(NamedTuple):
-    """Modes of a block at all theta, and which of them are paired with which measured modes.
+    """A block's modes at all theta, and which of them are paired with which measured modes.
 
     Attributes
     ----------
     block : Block
     sensors : array or sparse, shape (q, size), or None
-        Sensor rows of the block, if shapes were asked for.
+        Sensor rows of the block, if shapes were requested.
     lam, phi : ndarray
         From `Block.modes`.
     n_pairable : int
         Number of the lowest modes that may be paired.
     row, column, rank : ndarray of int, shape (k,)
-        Index of theta, of the measured mode, and of the mode of the block.
+        Indices of theta, of the measured mode, and of the mode in the block.
     """
 
     block: Block
@@ -174,10 +176,10 @@ class StructureSensitivities(Sensitivities):
     located : tuple
         The result of `fmu.fem.pairing.rules.Pairing.locate` at theta with `gradient`.
     counts : dict of int to int
-        Number of the lowest modes of each block that may be paired.
+        How many of the lowest modes in each block may be paired.
     theta : ndarray, shape (n, n_parameters)
     sensors : sequence of matrices, optional
-        Sensor rows of each block, if shapes are asked for.
+        Sensor rows of each block, if shapes are requested.
     """
 
     def __init__(
@@ -215,7 +217,7 @@ class StructureSensitivities(Sensitivities):
         self.gradient = frequency_gradient(self.frequencies, slopes)
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return second derivatives along `d` plus the weighted ones of shapes; see `Sensitivities.curvature`."""
+        """Return second derivatives along `d`, plus weighted ones of shapes; see `Sensitivities.curvature`."""
         found = np.full(d.shape, np.nan)
         with single_thread(), np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for block, _, lam, phi, count, row, column, rank in self._parts:
@@ -231,7 +233,7 @@ class StructureSensitivities(Sensitivities):
             return np.asarray(found)
 
     def _of_shapes(self, part: _Solved, weights: FloatArray) -> FloatArray:
-        """Return the sums of second derivatives of the shapes of a block's modes, (k, n_parameters)."""
+        """Return the weighted sums of second derivatives of a block's mode shapes, (k, n_parameters)."""
         assert part.sensors is not None  # shapes were asked for
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
         at_sensors = np.zeros((n, q, count, p))
