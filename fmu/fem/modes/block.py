@@ -93,7 +93,7 @@ class Block:
         return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))
 
     def eigenvalue_curvature(
-        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, d: FloatArray
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, d: FloatArray, slopes: FloatArray | None = None
     ) -> FloatArray:
         """Return the derivative of the gradient of each eigenvalue along a direction of its own.
 
@@ -108,6 +108,8 @@ class Block:
             The result of `modes` for `n_required` modes with derivatives, or more.
         d : ndarray, shape (n, m, n_parameters)
             Directions for the lowest m modes.
+        slopes : ndarray, shape (n, size, m, n_parameters), optional
+            ∂φ/∂θ of these modes, if known from `shape_curvature`.
 
         Returns
         -------
@@ -120,9 +122,13 @@ class Block:
             self._apply(own, of.along(theta, d), of_mass)
             for of, of_mass in ((self._K_map, False), (self._M_map, True))
         )
-        turned = self._shape_slopes_along(theta, lam, phi, dK_phi[..., None], dM_phi[..., None])[..., 0]
+        if slopes is None:
+            turned = self._shape_slopes_along(theta, lam, phi, dK_phi[..., None], dM_phi[..., None])[..., 0]
+        else:
+            turned = np.einsum("nsmp,nmp->nsm", slopes, d)
         found = 2.0 * self._K_map.contract(theta, self._forms(own, False, turned))
-        found += self._K_map.contract_along(theta, self._forms(own, False), d)
+        if self._K_map.is_curved:
+            found += self._K_map.contract_along(theta, self._forms(own, False), d)
         if self.constant_mass:
             return found
         forms = self._forms(own, of_mass=True)
@@ -133,8 +139,10 @@ class Block:
         value_slope = np.sum(own * (dK_phi - np.swapaxes(value, 1, 2) * dM_phi), axis=1)[..., None]
         return found - value_slope * self._M_map.contract(theta, forms)
 
-    def shape_curvature(self, theta: FloatArray, lam: FloatArray, phi: FloatArray, left: FloatArray) -> FloatArray:
-        """Return Σ_j left_jᵀ ∂²φ/∂θ_j∂θ of the lowest m modes, shape (n, m, n_parameters).
+    def shape_curvature(
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, left: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return Σ_j left_jᵀ ∂²φ/∂θ_j∂θ of the lowest m modes, (n, m, n_parameters), and ∂φ/∂θ of these modes.
 
         With A = K − λM, A_j = ∂A/∂θ_j and φ_j = ∂φ/∂θ_j, the second derivatives solve
 
@@ -151,6 +159,7 @@ class Block:
         lam, phi : ndarray
             As in `eigenvalue_curvature`.
         left : ndarray, shape (n, size, m, n_parameters)
+            ∂φ/∂θ has this shape too.
         """
         n, size, m, p = left.shape
         own, value = phi[:, :, :m], lam[:, :m, None]
@@ -173,7 +182,8 @@ class Block:
             weights = of.along(theta, y.reshape(n, size * m, p)).reshape(n, -1, size, m)
             of_terms = self._sum_products(weights, bool(of_mass))
             total = np.einsum("nsm,nsmp->nmp", of_terms, turned) + of.contract(theta, traces[-1])
-            total += of.contract_twice(theta, np.einsum("nsmp,nksm->nkmp", y, products[of_mass]))
+            if of.is_curved:
+                total += of.contract_twice(theta, np.einsum("nsmp,nksm->nkmp", y, products[of_mass]))
             found += value * total if of_mass else -total
         # the terms with ∂λ, and those of the length
         rest = np.einsum("nmp,nsmp->nsm", slope, y) - np.einsum("nmp,nsmp->nsm", along, turned)
@@ -183,7 +193,10 @@ class Block:
         found += np.einsum("nsm,nsmp->nmp", pulled, turned) + np.einsum("nsm,nsmp->nmp", rest, dM)
         by_slope = np.einsum("nk,nkm->nm", masses, traces[1]) + np.einsum("nsmp,nsmp->nm", y, dM)
         found += by_slope[..., None] * slope
-        return found - 0.5 * self._M_map.contract_along(theta, np.einsum("nsm,nksm->nkm", own, products[1]), along)
+        if self._M_map.is_curved:
+            forms = np.einsum("nsm,nksm->nkm", own, products[1])
+            found -= 0.5 * self._M_map.contract_along(theta, forms, along)
+        return found, turned
 
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
         """Return the products leftᵀ K_k φ, or leftᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m).

@@ -58,11 +58,10 @@ def by_all_modes(
     ndarray, shape (n, r, count, n_parameters)
     """
     # ∂φ_i = Σ_k w_k φ_k with w_k = φ_kᵀ(∂K − λ_i ∂M)φ_i / (λ_i − λ_k) for k ≠ i, as the modes are M-orthogonal
-    own = lam[:, None, :count, None]
-    gap = own - lam[:, :, None, None]
-    size = np.maximum(np.abs(own), np.abs(lam[:, :, None, None]))
-    apart = np.abs(gap) > repeated * size
-    weight = np.divide(dK - own * dM, gap, out=np.zeros_like(dK), where=np.broadcast_to(apart, dK.shape))
+    own, other = lam[:, None, :count], lam[:, :, None]
+    gap = own - other
+    gap[~(np.abs(gap) > repeated * np.maximum(np.abs(own), np.abs(other)))] = np.inf
+    weight = (dK - own[..., None] * dM) / gap[..., None]
     i = np.arange(count)
     # and w_i = −½ φ_iᵀ ∂M φ_i, from φᵀMφ = 1 at every theta
     weight[:, i, i] = -0.5 * dM[:, i, i]

@@ -189,6 +189,11 @@ class ParametricMatrix:
             return total
         return sp.csr_array((data, columns, pointers), shape=shape)
 
+    @property
+    def is_curved(self) -> bool:
+        """Whether a coefficient has second derivatives, because it is not constant or a parameter alone."""
+        return bool(self._general)
+
     def coefficients(self, theta: FloatArray) -> FloatArray:
         """Return the coefficients c_k(θ), shape (n, n_terms), at theta (n, n_parameters)."""
         if len(self._linear) == len(self.terms):
@@ -218,14 +223,13 @@ class ParametricMatrix:
         The forms have the shape (n, n_terms, m, n_parameters).
         """
         total = np.zeros((forms.shape[0], *forms.shape[2:]))
-        if self._general:
-            for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
-                total[..., i] += forms[:, k, :, j] * value[:, None]
+        for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
+            total[..., i] += forms[:, k, :, j] * value[:, None]
         return total
 
     def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
         """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j, shape (n, m, n_parameters); see `contract`."""
-        return self.contract_twice(theta, forms[..., None] * d[:, None]) if self._general else np.zeros(d.shape)
+        return self.contract_twice(theta, forms[..., None] * d[:, None])
 
 
 def _with_entries(matrix: sp.csr_array, entries: FloatArray) -> sp.csr_array:

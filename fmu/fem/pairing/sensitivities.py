@@ -151,8 +151,6 @@ class _Solved(NamedTuple):
         Sensor rows of the block, if shapes were requested.
     lam, phi : ndarray
         From `Block.modes`.
-    n_pairable : int
-        Number of the lowest modes that may be paired.
     row, column, rank : ndarray of int, shape (k,)
         Indices of theta, of the measured mode, and of the mode in the block.
     """
@@ -161,7 +159,6 @@ class _Solved(NamedTuple):
     sensors: Matrix | None
     lam: FloatArray
     phi: FloatArray
-    n_pairable: int
     row: IntArray
     column: IntArray
     rank: IntArray
@@ -205,7 +202,7 @@ class StructureSensitivities(Sensitivities):
             # one mode more, which shows whether the last one is repeated
             lam, phi = solved.get(b) or block.modes(theta, block.n_required(min(count + 1, block.n_modes), True))
             rows = None if sensors is None else sensors[b]
-            part = _Solved(block, rows, lam, phi, count, row, column, rank[row, column])
+            part = _Solved(block, rows, lam, phi, row, column, rank[row, column])
             of_block = block.eigenvalue_gradient(theta, lam[:, :count], phi[:, :, :count])
             eigenvalues[row, column], slopes[row, column] = lam[row, part.rank], of_block[row, part.rank]
             if rows is not None and self.shapes is not None and self.shape_slopes is not None:
@@ -220,23 +217,23 @@ class StructureSensitivities(Sensitivities):
         """Return second derivatives along `d`, plus weighted ones of shapes; see `Sensitivities.curvature`."""
         found = np.full(d.shape, np.nan)
         with single_thread(), np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for block, _, lam, phi, count, row, column, rank in self._parts:
-                along = np.zeros((len(d), count, d.shape[2]))
+            rest = np.zeros(d.shape)
+            for part in self._parts:
+                (block, _, lam, phi, row, column, rank), slopes = part, None
+                along = np.zeros((len(d), int(rank.max()) + 1, d.shape[2]))
                 along[row, rank] = d[row, column]
-                of_block = block.eigenvalue_curvature(self._theta, lam, phi, along)
+                if of_shapes is not None:
+                    of_block, slopes = block.shape_curvature(self._theta, lam, phi, self._left(part, of_shapes))
+                    rest[row, column] = of_block[row, rank]
+                of_block = block.eigenvalue_curvature(self._theta, lam, phi, along, slopes)
                 found[row, column] = of_block[row, rank]
             turned = self.gradient * np.einsum("nmk,nmk->nm", self.gradient, d)[..., None]
-            found = (found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None]
-            if of_shapes is not None:
-                for part in self._parts:
-                    found[part.row, part.column] += self._of_shapes(part, of_shapes)
-            return np.asarray(found)
+            return np.asarray((found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None] + rest)
 
-    def _of_shapes(self, part: _Solved, weights: FloatArray) -> FloatArray:
-        """Return the weighted sums of second derivatives of a block's mode shapes, (k, n_parameters)."""
+    def _left(self, part: _Solved, weights: FloatArray) -> FloatArray:
+        """Return the weights of the shapes at the sensors as weights of a block's shapes, (n, size, m, p)."""
         assert part.sensors is not None  # shapes were asked for
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
         at_sensors = np.zeros((n, q, count, p))
         at_sensors[part.row, :, part.rank] = weights[part.row, :, part.column]
-        left = np.asarray(shapes_at(part.sensors.T, at_sensors.reshape(n, q, -1))).reshape(n, -1, count, p)
-        return part.block.shape_curvature(self._theta, part.lam, part.phi, left)[part.row, part.rank]
+        return np.asarray(shapes_at(part.sensors.T, at_sensors.reshape(n, q, -1))).reshape(n, -1, count, p)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter, require_name
 from fmu.posterior.priors.one_sided import HalfNormal
-from fmu.types import BoolArray, FloatArray, Plain, Positive
+from fmu.types import BoolArray, FloatArray, IntArray, Plain, Positive
 
 MOST = 10.0  # upper bound of an inferred τ, in standard deviations of its prior
 _START, _MOST_CORRELATED = 0.3, 0.999
@@ -236,31 +237,40 @@ class EmbeddedScatter:
         """Mask of the parameters that scatter, shape (p,)."""
         return np.asarray((self.fixed > 0.0) | (self.number >= 0))
 
-    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the scatter variances, relative to s², and their derivatives.
+    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return two scatter variances, relative to s², each of shape (n, p), for error sds `noise` (n, n_noise).
 
-        Returns
-        -------
-        own, common : ndarray, shape (n, p)
-            (1 − ρ) τ² for the part that differs from mode to mode, and ρ τ² for the part that all modes share.
-        by_own, by_common : ndarray, shape (n, n_noise, p)
-            Derivatives with respect to the inferred error sds `noise`, (n, n_noise).
+        They are (1 − ρ) τ² for the part that differs from mode to mode, and ρ τ² for the part in common.
         """
-        n, inferred = len(noise), np.flatnonzero(self.number >= 0)
-        tau = np.broadcast_to(self.fixed, (n, len(self.fixed)))
-        slopes = np.zeros((n, noise.shape[1], len(self.fixed)))
-        if len(inferred):
-            tau = tau.copy()
-            tau[:, inferred] = noise[:, self.number[inferred]]
-            slopes[:, self.number[inferred], inferred] = 2.0 * tau[:, inferred]
+        square = self._tau(noise) ** 2
         if self.correlation == INDEPENDENT:
-            return tau**2, np.zeros_like(tau), slopes, np.zeros_like(slopes)
+            return square, np.zeros_like(square)
         rho = self.correlation.at(noise)[:, None]
-        own, common = slopes * (1.0 - rho)[..., None], slopes * rho[..., None]
+        return square * (1.0 - rho), square * rho
+
+    def variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of `variances` with respect to `noise`, each of shape (n, n_noise, p)."""
+        tau, inferred = self._tau(noise), self._inferred
+        slopes = np.zeros((*noise.shape, len(self.fixed)))
+        slopes[:, self.number[inferred], inferred] = 2.0 * tau[:, inferred]
+        if self.correlation == INDEPENDENT:
+            return slopes, np.zeros_like(slopes)
+        rho = self.correlation.at(noise)[:, None, None]
+        own, common = slopes * (1.0 - rho), slopes * rho
         if self.correlation.number >= 0:
             own[:, self.correlation.number] -= tau**2
             common[:, self.correlation.number] += tau**2
-        return tau**2 * (1.0 - rho), tau**2 * rho, own, common
+        return own, common
+
+    @cached_property
+    def _inferred(self) -> IntArray:
+        """Indices of the parameters whose τ is inferred."""
+        return np.flatnonzero(self.number >= 0)
+
+    def _tau(self, noise: FloatArray) -> FloatArray:
+        tau = np.repeat(self.fixed[None], len(noise), axis=0)
+        tau[:, self._inferred] = noise[:, self.number[self._inferred]]
+        return tau
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the settings as a dict of plain Python types."""

@@ -192,6 +192,11 @@ class LatentErrors:
         return np.array(found)
 
     @cached_property
+    def _later(self) -> IntArray:
+        """Indices of the rows that are not the first of their group."""
+        return np.flatnonzero(self._before >= 0)
+
+    @cached_property
     def last(self) -> IntArray:
         """For each row, the index of the last row in the same group, shape (m,)."""
         latest = {g: i for i, g in enumerate(self.group.tolist())}
@@ -210,7 +215,7 @@ class LatentErrors:
     @cached_property
     def _groups(self) -> _Groups:
         A, r = self.loads, self.residuals
-        X = np.concatenate([r[..., None], self.common], axis=3)
+        X = np.concatenate([r[..., None], self.common], axis=3) if self.common.shape[3] else r[..., None]
         if self._is_single:  # the number S = 1 + AAᵀ is enough
             scaled = X / self._variance[..., None, None]
             return _Groups(np.swapaxes(X, 2, 3) * scaled, np.log(self._variance), np.swapaxes(A, 2, 3) * scaled)
@@ -240,19 +245,19 @@ class LatentErrors:
 
     def _sum(self, x: FloatArray) -> FloatArray:
         """Return the cumulative sum of x over the rows of each group, shape (n, m, …)."""
-        total = x
-        for i in np.flatnonzero(self._before >= 0):
-            total = x.copy() if total is x else total
+        if not len(self._later):
+            return x
+        total = x.copy()
+        for i in self._later:
             total[:, i] += total[:, self._before[i]]
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
         """Return the increments of `total`, a cumulative sum over the rows of each group, shape (n, m, …)."""
-        later = np.flatnonzero(self._before >= 0)
-        if not len(later):
+        if not len(self._later):
             return total
         found = total.copy()
-        found[:, later] -= total[:, self._before[later]]
+        found[:, self._later] -= total[:, self._before[self._later]]
         return found
 
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:

@@ -67,23 +67,6 @@ class Change(NamedTuple):
         return np.asarray(sum(found, np.zeros(self.by_residual.shape[:2])))
 
 
-class Variances(NamedTuple):
-    """Variances of the model discrepancy: errors of each mode alone, and errors that all modes share.
-
-    Attributes
-    ----------
-    own, common : ndarray, shapes (n, E + Q) and (n, F + C)
-        First the variances of the E and F scattering parameters, relative to s², then those of mode errors.
-    by_own, by_common : ndarray, shapes (n, n_noise, E + Q) and (n, n_noise, F + C)
-        Derivatives of their logarithms with respect to the inferred error sds.
-    """
-
-    own: FloatArray
-    common: FloatArray
-    by_own: FloatArray
-    by_common: FloatArray
-
-
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
     """The complete model discrepancy: scatter of its parameters, and errors of the modes themselves.
@@ -133,8 +116,7 @@ class ModelErrors:
         r = np.concatenate([part[0] for part in parts], axis=2)
         J = np.empty((*r.shape, 0)) if np.ndim(parts[0][1]) == 0 else np.concatenate([p[1] for p in parts], axis=2)
         units = [one.units(terms, seen, noise) for one in self.modes]
-        none = np.empty((*r.shape, 0))
-        own, common = (np.concatenate([none, *x], axis=3) for x in (list(zip(*units, strict=True)) or [(), ()]))
+        own, common = (_joined([np.empty((*r.shape, 0)), *(unit[i] for unit in units)], 3) for i in (0, 1))
         return Linearised(*(take(x, 1) for x in (r, J, own, common)))
 
     def change_of_units(
@@ -153,14 +135,29 @@ class ModelErrors:
         """Return the unit s of each parameter's scatter at values (…, p), with the same shape."""
         return self.scatters[0].scale(values)
 
-    def variances(self, noise: FloatArray) -> Variances:
-        """Return the discrepancy variances for inferred error sds `noise` (n, n_noise)."""
-        scatter = [np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True)]
-        for i, k in enumerate((self.of_mode, self.in_common)):
-            value = scatter[i][:, k]
-            scatter[i], scatter[i + 2] = value, scatter[i + 2][..., k] / np.where(value > 0.0, value, 1.0)[:, None]
-        found = [scatter, *(one.variances(noise) for one in self.modes)]
-        return Variances(*(np.concatenate(x, axis=-1) for x in zip(*found, strict=True)))
+    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variances of a mode's own errors, (n, E + Q), and of the common errors, (n, F + C).
+
+        First come the E and F parameters that scatter, with variances relative to s², then the errors of modes.
+        `noise` has the inferred standard deviations, shape (n, n_noise).
+        """
+        own, common = _sum_of_pairs([one.variances(noise) for one in self.scatters])
+        parts = [(own[:, self.of_mode], common[:, self.in_common]), *(one.variances(noise) for one in self.modes)]
+        return _joined([part[0] for part in parts], 1), _joined([part[1] for part in parts], 1)
+
+    def log_variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of the logarithms of the `variances` with respect to the `noise`.
+
+        Their shapes are (n, n_noise, E + Q) and (n, n_noise, F + C). They are 0 where a variance is 0.
+        """
+        values = _sum_of_pairs([one.variances(noise) for one in self.scatters])
+        slopes = _sum_of_pairs([one.variance_slopes(noise) for one in self.scatters])
+        scatter = [
+            slope[..., k] / np.where(value > 0.0, value, 1.0)[:, None, k]
+            for value, slope, k in zip(values, slopes, (self.of_mode, self.in_common), strict=True)
+        ]
+        parts = [scatter, *(one.log_variance_slopes(noise) for one in self.modes)]
+        return _joined([part[0] for part in parts], 2), _joined([part[1] for part in parts], 2)
 
     def in_hz(
         self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
@@ -179,35 +176,46 @@ class ModelErrors:
         -------
         own, common : ndarray, shapes (n, m, P) and (n, m, C)
         """
-        v, parts = self.variances(noise), (list[FloatArray](), list[FloatArray]())
+        variances, parts = self.variances(noise), (list[FloatArray](), list[FloatArray]())
         if slopes is not None and len(self.scattered):
             units = slopes * self.scale(values)
             parts = [units[..., self.of_mode]], [units[..., self.in_common]]
         for one in self.modes:
             for part, unit in zip(parts, one.in_hz(measured), strict=True):
                 part.append(np.broadcast_to(unit, (len(noise), *unit.shape)))
-        own, common = (np.concatenate(part, axis=2) for part in parts)
-        return own * np.sqrt(v.own)[:, None], common * np.sqrt(v.common)[:, None]
+        own, common = (
+            np.concatenate(part, axis=2) * np.sqrt(variance)[:, None]
+            for part, variance in zip(parts, variances, strict=True)
+        )
+        return own, common
 
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
         """Return the residuals with their latent errors; `values` (n, m, p) are each row's parameters."""
-        v, (own, common) = self.variances(noise), self._units(rows, values)
-        loads, shared = own * np.sqrt(v.own)[:, None, None], common * np.sqrt(v.common)[:, None, None]
+        loads, shared = (
+            unit * np.sqrt(variance)[:, None, None]
+            for unit, variance in zip(self._units(rows, values), self.variances(noise), strict=True)
+        )
         return LatentErrors(rows.residuals, loads, shared, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
         """Return the derivatives of the summed terms of `latent`, which has the same rows."""
-        found, v, units = latent.slopes(), self.variances(noise), self._units(rows, values)
-        by_own = found.by_loads * np.sqrt(v.own)[:, None, None]
-        by_common = found.by_common * np.sqrt(v.common)[:, None, None]
+        found = latent.slopes()
+        by_own, by_common = (
+            by * np.sqrt(variance)[:, None, None]
+            for by, variance in zip((found.by_loads, found.by_common), self.variances(noise), strict=True)
+        )
         by_noise = np.zeros((*rows.residuals.shape[:2], noise.shape[1]))
-        for by, unit, slopes in ((by_own, units[0], v.by_own), (by_common, units[1], v.by_common)):
-            by_noise += 0.5 * np.einsum("nmkl,nmkl,ndl->nmd", by, unit, slopes)
+        of_loads = (found.by_loads, latent.loads), (found.by_common, latent.common)
+        for (by, loads), slopes in zip(of_loads, self.log_variance_slopes(noise), strict=True):
+            if loads.shape[-1]:
+                by_noise += 0.5 * np.sum(by * loads, axis=2) @ np.swapaxes(slopes, 1, 2)
         by_slope, by_value = np.zeros((*rows.residuals.shape, values.shape[-1])), np.zeros(values.shape)
-        E, F, scale = len(self.of_mode), len(self.in_common), self.scale(values)[:, :, None]
-        by_slope[..., self.of_mode] = by_own[..., :E] * scale[..., self.of_mode]
-        by_slope[..., self.in_common] += by_common[..., :F] * scale[..., self.in_common]
+        E, F = len(self.of_mode), len(self.in_common)
         if len(self.scattered):
+            scale = self.scale(values)[:, :, None]
+            by_slope[..., self.of_mode] = by_own[..., :E] * scale[..., self.of_mode]
+            if F:
+                by_slope[..., self.in_common] += by_common[..., :F] * scale[..., self.in_common]
             by_log = np.sum(by_slope * rows.slopes, axis=2)  # by log s of each parameter
             relative = self.scatters[0].relative
             by_value = np.where(relative, by_log / np.where(relative, values, 1.0), 0.0)
@@ -219,7 +227,7 @@ class ModelErrors:
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
         of_mode, in_common = (rows.slopes[..., k] * scale[..., k] for k in (self.of_mode, self.in_common))
-        return np.concatenate([of_mode, rows.own], axis=3), np.concatenate([in_common, rows.common], axis=3)
+        return _joined([of_mode, rows.own], 3), _joined([in_common, rows.common], 3)
 
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
@@ -231,14 +239,14 @@ class ModelErrors:
         are counted. Each of q sensors has the weight (q − 1)/q, the part that is independent of the shape's scale.
         `take` selects the rows of `latent`.
         """
-        v = self.variances(noise)
+        E, by_common = self.log_variance_slopes(noise)
         _, _, of_z, of_both, of_w = latent.given_residuals()
-        E, last = v.by_own, np.unique(latent.last)
+        last = np.unique(latent.last)
         K = np.sum((np.eye(of_z.shape[-1]) - of_z[:, last]) ** 2, axis=1)
         found = 0.5 * E @ K @ np.swapaxes(E, 1, 2)
-        if v.common.shape[1]:
-            across = 0.5 * E @ np.sum(of_both[:, last] ** 2, axis=1) @ np.swapaxes(v.by_common, 1, 2)
-            found += 0.5 * v.by_common @ (np.eye(of_w.shape[-1]) - of_w) ** 2 @ np.swapaxes(v.by_common, 1, 2)
+        if by_common.shape[2]:
+            across = 0.5 * E @ np.sum(of_both[:, last] ** 2, axis=1) @ np.swapaxes(by_common, 1, 2)
+            found += 0.5 * by_common @ (np.eye(of_w.shape[-1]) - of_w) ** 2 @ np.swapaxes(by_common, 1, 2)
             found += across + np.swapaxes(across, 1, 2)
         delta, share = _relative_changes(terms, noise)
         delta = take(delta, 1)
@@ -249,6 +257,19 @@ class ModelErrors:
             cross = 0.5 * np.einsum("nmkd,nmkl,nel->nde", delta, (A @ cov) ** 2, E)
             found += cross + np.swapaxes(cross, 1, 2)
         return np.asarray(found)
+
+
+def _joined(parts: Sequence[FloatArray], axis: int) -> FloatArray:
+    """Return the parts one after the other along an axis, without a copy if one part alone has a length there."""
+    filled = [part for part in parts if part.shape[axis]]
+    return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
+
+
+def _sum_of_pairs(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    first, second = pairs[0]
+    for one, other in pairs[1:]:
+        first, second = first + one, second + other
+    return first, second
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:

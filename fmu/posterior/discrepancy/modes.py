@@ -135,33 +135,35 @@ class ModeErrors:
         largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
         return root[..., None] * (largest * self.root), root * np.swapaxes(seen.shapes, 1, 2), root
 
-    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the error variances, and the derivatives of their logarithms.
-
-        Returns
-        -------
-        own, common : ndarray, shapes (n, n_own) and (n, n_common)
-        by_own, by_common : ndarray, shapes (n, n_noise, n_own) and (n, n_noise, n_common)
-            Derivatives with respect to the inferred error sds.
-        """
+    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variances of a mode's own errors, (n, n_own), and of the common errors, (n, n_common)."""
         own, common = np.empty((len(noise), self.n_own)), np.empty((len(noise), self.n_common))
-        by_own, by_common = (np.zeros((*noise.shape, k)) for k in (self.n_own, self.n_common))
         if self.sd is not None and self.correlation is not None:
             sd, rho = self.sd.at(noise), self.correlation.at(noise)
             own[:, 0] = sd**2 * (1.0 - rho)
             common[:] = (sd**2 * rho)[:, None]
+        if self.shape_sd is not None:
+            own[:, self.n_own - len(self.root) :] = (self.shape_sd.at(noise) ** 2)[:, None]
+        return own, common
+
+    def log_variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of the logarithms of the `variances` with respect to the `noise`.
+
+        Their shapes are (n, n_noise, n_own) and (n, n_noise, n_common).
+        """
+        by_own, by_common = (np.zeros((*noise.shape, k)) for k in (self.n_own, self.n_common))
+        if self.sd is not None and self.correlation is not None:
+            sd, rho = self.sd.at(noise), self.correlation.at(noise)
             if self.sd.number >= 0:
                 by_own[:, self.sd.number, 0] = 2.0 / sd
                 by_common[:, self.sd.number] = (2.0 / sd)[:, None]
             if self.correlation.number >= 0:
                 by_own[:, self.correlation.number, 0] = -1.0 / (1.0 - rho)
                 by_common[:, self.correlation.number] = (1.0 / rho)[:, None]
-        if self.shape_sd is not None:
+        if self.shape_sd is not None and self.shape_sd.number >= 0:
             first = self.n_own - len(self.root)
-            own[:, first:] = (self.shape_sd.at(noise) ** 2)[:, None]
-            if self.shape_sd.number >= 0:
-                by_own[:, self.shape_sd.number, first:] = (2.0 / self.shape_sd.at(noise))[:, None]
-        return own, common, by_own, by_common
+            by_own[:, self.shape_sd.number, first:] = (2.0 / self.shape_sd.at(noise))[:, None]
+        return by_own, by_common
 
     def in_hz(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each frequency's error in Hz per unit error, (n_modes, n_own) and (n_modes, n_common)."""

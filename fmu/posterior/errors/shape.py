@@ -125,12 +125,18 @@ class ShapeTerm(ErrorTerm):
         return Residuals(values, None, by_shape)
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, which are orthogonal to Λ^½φ, with their derivatives; see `ErrorTerm`."""
-        r = self.residuals(seen, noise)
-        psi = np.swapaxes(seen.shapes / np.sqrt(self.spread.variance(noise)), 1, 2)
-        by_shape = np.asarray(r.by_shape)
-        along = np.sum(psi[..., None] * by_shape, axis=2) / np.sum(psi**2, axis=2)[..., None]
-        return r._replace(by_shape=by_shape - psi[..., None] * along[:, :, None])
+        """Return the residuals, which are orthogonal to ψ = Λ^½φ, with their derivatives; see `ErrorTerm`.
+
+        The derivatives with respect to φ are −a (I − ψψᵀ/ψᵀψ) Λ^½.
+        """
+        root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
+        u, psi = root * self.unit.T, root * np.swapaxes(seen.shapes, 1, 2)
+        weighted = np.sum(psi**2, axis=2)[..., None]
+        a = np.sum(u * psi, axis=2)[..., None] / weighted
+        by_shape = (a * psi / weighted)[..., None] * (root * psi)[:, :, None]
+        i = np.arange(len(self.unit))
+        by_shape[:, :, i, i] -= a * root
+        return Residuals(u - a * psi, None, by_shape)
 
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
@@ -141,22 +147,22 @@ class ShapeTerm(ErrorTerm):
         respect to the slopes, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the
         remainder is the derivative of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with respect to φ.
         """
-        s, J = np.swapaxes(seen.shapes, 1, 2), np.moveaxis(np.asarray(seen.shape_slopes), 2, 1)
         root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
-        Lam, u = root**2, self.unit.T
-        weighted = np.sum(Lam * s**2, axis=2)[..., None]
-        a = np.sum(Lam * u * s, axis=2)[..., None] / weighted
-        pulled = root * s / weighted
-        left = -a[..., None] * root[..., None] * by_slope  # −a (R G − Λφ (φᵀR G)/φᵀΛφ)
-        left += a[..., None] * (Lam * s)[..., None] * np.sum(pulled[..., None] * by_slope, axis=2)[:, :, None]
-        T = by_slope @ np.swapaxes(J, 2, 3)
-        across = (T @ (Lam * s)[..., None])[..., 0], np.sum((root * s)[..., None] * T, axis=2)
-        b = np.sum(root * s * across[0], axis=2)[..., None]
-        trace = np.sum(root * np.diagonal(T, axis1=2, axis2=3), axis=2)[..., None]
-        da = (Lam * u - 2.0 * a * Lam * s) / weighted
-        db = (root * across[0] + Lam * across[1]) / weighted - 2.0 * b * Lam * s / weighted**2
-        by_shape = a * db - da * (trace - b / weighted)
-        direct = np.sum(by_shape[..., None] * J, axis=2)
+        psi, G = root * np.swapaxes(seen.shapes, 1, 2), by_slope
+        J = np.swapaxes(np.asarray(seen.shape_slopes), 1, 2)
+        weighted = np.sum(psi**2, axis=2)[..., None]
+        pulled, weights = psi / weighted, (root * psi)[..., None]  # Rφ/φᵀΛφ and Λφ
+        a = np.sum(root * self.unit.T * pulled, axis=2)[..., None]
+        pulled_G = pulled[:, :, None] @ G
+        left = a[..., None] * (weights * pulled_G - root[..., None] * G)
+        across = (G @ (np.swapaxes(J, 2, 3) @ weights))[..., 0]  # TΛφ
+        b = np.sum(pulled * across, axis=2)[..., None]
+        trace = np.sum(root * np.sum(G * J, axis=3), axis=2)[..., None]
+        pulled_T = (J @ np.swapaxes(pulled_G, 2, 3))[..., 0]  # TᵀRφ/φᵀΛφ
+        da = root * (root * self.unit.T - 2.0 * a * psi) / weighted
+        db = root * (across / weighted + root * pulled_T - 2.0 * b * pulled)
+        by_shape = a * db - da * (trace - b)
+        direct = (by_shape[:, :, None] @ J)[:, :, 0]
         return None, np.swapaxes(left, 1, 2), direct
 
     def labels(self, modes: Sequence[str]) -> list[str]:

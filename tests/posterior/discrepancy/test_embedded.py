@@ -112,7 +112,7 @@ def dense(problem, theta, whitened=True):
     m = len(MEASURED)
     blocks, slopes = [], []
     T = np.zeros(4)
-    T[likelihood.errors.of_mode] = np.sqrt(likelihood.errors.variances(noise).own[0])
+    T[likelihood.errors.of_mode] = np.sqrt(likelihood.errors.variances(noise)[0][0])
     T *= likelihood.errors.scale(theta[:4])
     for i in range(m):
         J = np.concatenate([part[i] for part in parts])
@@ -128,7 +128,7 @@ def dense(problem, theta, whitened=True):
         slopes.append(J * unit[:, None])
     slopes, k = np.concatenate(slopes), likelihood.errors.in_common
     common = slopes[:, k] * likelihood.errors.scale(theta[:4])[k]
-    return block_diag(*blocks) + (common * likelihood.errors.variances(noise).common[0]) @ common.T, slopes
+    return block_diag(*blocks) + (common * likelihood.errors.variances(noise)[1][0]) @ common.T, slopes
 
 
 @pytest.mark.parametrize("errors", [name for name in ERRORS if "shapes" in name])
