@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
 from itertools import islice
@@ -68,7 +68,7 @@ class FullBlock(Block):
         self.constant = self.constant_mass and all(term.constant for term in self.K_terms)
         self._constant_rank = known if len(self.M_terms) == 1 else None
         self._last: tuple[bytes, FloatArray, FloatArray] | None = None
-        self._last_factor = model.last_factor(dofs)
+        self._last_factor = model.last_factor(dofs) if self.size >= LARGE else None
         self._engine: Engine | None = None
 
     def __getstate__(self) -> dict[str, object]:
@@ -130,15 +130,19 @@ class FullBlock(Block):
         return min(count + _FURTHER, self.n_modes) if self.size >= LARGE and count else count
 
     def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
-        """Return the factors of K at theta (n_parameters,), which are kept; None if K is not clearly definite."""
-        return self._last_factor.at(
+        """Return the factors of K at theta (n_parameters,), None if K is not clearly definite.
+
+        A large block keeps the factors of the last theta.
+        """
+        return self._keep_factor(
             theta, lambda: clear_factor(*unit_diagonal(next(self._add_up(self._K_map, theta[None]))))
         )
 
     def _factor_of(self, theta: FloatArray, S: Matrix, scale: FloatArray) -> ScaledFactor | None:
-        if self.size < LARGE:
-            return clear_factor(S, scale)
-        return self._last_factor.at(theta, lambda: clear_factor(S, scale))
+        return self._keep_factor(theta, lambda: clear_factor(S, scale))
+
+    def _keep_factor(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
+        return make() if self._last_factor is None else self._last_factor.at(theta, make)
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
@@ -194,7 +198,7 @@ class FullBlock(Block):
         """Return eigenvalues (n, count) and shapes (n, size, count); each theta of a large block is a task."""
         if len(theta) < 2 or self.size <= DENSE_LIMIT:
             return self._solve_each(theta, count)
-        kept = self._last_factor.factor
+        kept = None if self._last_factor is None else self._last_factor.factor
         of_factors = 0 if kept is None else kept.n_bytes
         found = self.run_tasks(_solve_there, self, ((point[None], count) for point in theta), of_factors)
         lam, phi = (np.concatenate(parts) for parts in zip(*found, strict=True))
