@@ -1,18 +1,18 @@
 """Possible causes of differences between tests that a model does not include: order, covariates and groups.
 
-The score of a test is the distance of a parameter's value in this test from the value that the model expects, in
-standard deviations. A permutation test compares the scores of the tests with the same scores in random orders
-(`fmu.analysis.permutation`). The statistics are, for each parameter:
+A test's score is the distance of a parameter's value in this test from its expected value, in standard deviations.
+A permutation test compares the scores with the same scores in random orders (`fmu.analysis.permutation`). The
+statistics are, for each parameter:
 
-- the correlation with the order of the tests, the share of the variance in two slow waves, and the lag-1
+- correlation with the order of the tests, the fraction of the variance in two slow waves, and the lag-1
   autocorrelation;
-- the correlation with each covariate on which the parameter does not depend in the model;
-- for each covariate, the largest share of the variance about a straight line that a bend explains, over all places
-  of the bend. It reveals a law that is not linear, even if the model has a slope with the covariate;
-- the share of the variance between groups.
+- correlation with each covariate on which the parameter does not depend in the model;
+- for each covariate, the largest fraction of the variance about a straight line that a bend explains, wherever the
+  bend is. It reveals a nonlinear law, even if the model has a slope with respect to the covariate;
+- the fraction of the variance between groups.
 
-All statistics share one significance level, and the search for the place of a bend is part of the test. With five
-tests or fewer nothing can be significant.
+All statistics share one significance level, and the search for the bend is part of the test. With five tests or
+fewer, nothing can be significant.
 """
 
 from __future__ import annotations
@@ -41,11 +41,10 @@ from fmu.types import BoolArray, FloatArray
 
 ORDER, GROUPS = "the order of the tests", "the groups"
 _SEARCHED = np.log(6.0)
-"""Logarithm of the approximate number of independent places of a bend.
-
-It is subtracted to put the best place on the common scale."""
+"""Logarithm of the approximate number of independent positions of a bend. It is subtracted to put the best
+position on the common scale."""
 _HARDLY = 0.2
-"""The change on one side of a bend is called small below this share of the change on the other side."""
+"""A change on one side of a bend is called small below this fraction of the change on the other side."""
 
 
 class Cause(NamedTuple):
@@ -58,11 +57,11 @@ class Cause(NamedTuple):
     statistic : Statistics
         Function that computes the statistic of sequences of scores.
     improbability : callable
-        Function from the statistic and the number of tests to −log of its probability for normal values.
+        Function from the statistic and the number of tests to −log of its probability for normal scores.
     words : callable
-        Function from the index of a parameter and its statistic to a description of the effect.
+        Function from a parameter's index and its statistic to a description of the effect.
     free : ndarray of bool, shape (n_parameters,)
-        Whether the model does not include this cause for each parameter.
+        Mask of the parameters for which the model does not include this cause.
     covers : bool
         Whether the description also covers the other causes with the same `of`.
     """
@@ -84,7 +83,7 @@ class Effects(NamedTuple):
     values, p : ndarray, shape (n_parameters, n_causes)
         The statistics, and their p-values, adjusted for the number of parameters and causes.
     sizes : ndarray, shape (n_parameters, n_causes)
-        −log of the probability of each statistic for normal values.
+        −log of each statistic's probability for normal scores.
     """
 
     causes: tuple[Cause, ...]
@@ -95,7 +94,7 @@ class Effects(NamedTuple):
     def in_words(self, k: int, limit: float) -> list[str]:
         """Return descriptions of the effects on parameter `k` with p below `limit`, the least probable first.
 
-        Of several effects with the same `Cause.of`, only one is described.
+        Only one of several effects with the same `Cause.of` is described.
         """
         best: dict[str, int] = {}
         for j in np.argsort(-self.sizes[k], kind="stable").tolist():
@@ -118,14 +117,14 @@ def find_effects(
     tests: Sequence[Mapping[str, Any]],
     explained: Collection[tuple[str, str]],
 ) -> Effects:
-    """Return the effects of order, covariates and groups on the scores.
+    """Return the effects of order, covariates and groups on the scores of the tests.
 
     Parameters
     ----------
     scores : ndarray, shape (n_tests, n_parameters)
         NaN where a test has no score.
     names : sequence of str
-        Names of the parameters.
+        Parameter names.
     tests : sequence of mapping
         Name, group and covariates of each test (`fmu.posterior.joint.modal_test.Test.as_dict`).
     explained : collection of (str, str)
@@ -186,7 +185,7 @@ def _of_order(z: FloatArray, tests: Sequence[str]) -> list[Cause]:
 
 
 def _of_covariate(z: FloatArray, name: str, x: FloatArray, free: BoolArray) -> list[Cause]:
-    """Return the causes that concern a covariate x (n_tests,); `free` is True if the model has no slope with x."""
+    """Return the causes that concern a covariate x (n_tests,); `free` marks parameters without a slope in x."""
     known = np.where(np.isnan(x), np.nanmean(x), x)
     line = Cause(
         name,
@@ -214,7 +213,7 @@ def _linear(cause: str, r: float) -> str:
 
 
 def _bent(name: str, x: FloatArray, z: FloatArray, place: float, free: bool) -> str:
-    """Return a description of a bent dependence of the scores z on a covariate x, with the place of the bend."""
+    """Describe how the scores z depend on a covariate x with a bend at `place`."""
     known = ~np.isnan(x)
     columns = np.stack(
         [np.ones(known.sum()), np.minimum(x[known] - place, 0.0), np.maximum(x[known] - place, 0.0)]

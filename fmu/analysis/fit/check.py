@@ -10,9 +10,9 @@ import numpy as np
 from fmu.numbers import change, significant
 
 LEVEL, WITH_POPULATIONS, OF_POPULATIONS = 0.01, 0.02, 0.015
-"""Largest probability that a correct model fails any of the checks: `LEVEL` without a population,
-`WITH_POPULATIONS` with one. Of the latter, `OF_POPULATIONS` is for the checks of `fmu.analysis.fit.populations`,
-which compare many tests in many ways."""
+"""Largest probability that a correct model fails any check: `LEVEL` without a population, `WITH_POPULATIONS` with
+one. Of the latter, `OF_POPULATIONS` is for the checks of `fmu.analysis.fit.populations`, which compare many tests
+in many ways."""
 PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, RESPONSES = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
     "mass or displacement", "population", "law over the tests", "frequency response function",
@@ -31,20 +31,20 @@ class Check:
     of : str
         The quantity that is checked.
     found, limit : str
-        The value of the statistic, and the limit beyond which the check fails.
+        Value of the statistic, and the limit beyond which the check fails.
     p : float
-        Probability of such a value under a correct model; NaN for shapes.
+        Probability of a value at least this extreme under a correct model; NaN for mode shapes.
     failed : bool
     shows : str
         The errors that the check would have revealed; empty if it could reveal none.
     sentence : str
         The evidence of this check against the model, in one sentence.
     why_not : str
-        Why the check could not have revealed any error; else empty.
+        Why the check could not have revealed any error; otherwise empty.
     below, above : float
-        Relative errors of a frequency, measured over predicted minus one, beyond which the check fails; else NaN.
+        Relative frequency errors, measured over predicted minus one, beyond which the check fails; otherwise NaN.
     dependence : str
-        A dependence on order, covariate or group that contradicts the law of a parameter; else empty.
+        A dependence on order, covariate or group that contradicts the parameter's law; otherwise empty.
     """
 
     kind: str
@@ -67,25 +67,25 @@ class Check:
 
 
 def level_of(checks: Sequence[Check]) -> float:
-    """Return the largest probability that a correct model fails any of the checks."""
+    """Return the largest probability with which a correct model fails any of the checks."""
     return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 
 def beyond(below: float, above: float) -> str:
-    """Return ``"below -8.2 % or above +9.6 %"``; the lower limit is omitted if it is -100 % or less."""
+    """Return ``"below -8.2 % or above +9.6 %"``, without the lower limit if it is -100 % or less."""
     upper = f"above {change(above)}"
     return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
 
 def probability(p: float) -> str:
-    """Return a p-value in words with one significant digit, such as ``"p = 0.003"``, or ``"p < 1e-300"``."""
+    """Format a p-value with one significant digit, such as ``"p = 0.003"`` or ``"p < 1e-300"``."""
     return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
 
 
 def failed_checks(checks: Sequence[Check]) -> list[Check]:
-    """Return the list of the checks that failed.
+    """Return the checks that failed.
 
-    Checks that name a cause come first, followed by the others in order of probability; shapes come last.
+    Checks that name a cause come first, then the others from least to most probable; mode shapes come last.
     """
     failed = [check for check in checks if check.failed]
     return sorted(failed, key=lambda check: (not check.dependence, np.nan_to_num(check.p, nan=1.0)))

@@ -1,11 +1,11 @@
 """Checks of a model against data, with a common false-alarm rate.
 
 Under a correct model, the parameters are draws from their priors and the errors are draws from the error model.
-Each kind of check that applies to a run gets an equal share of the level `LEVEL`, and the checks of one kind
-divide this share equally (Bonferroni). A correct model therefore fails at least one check with a probability of at
-most `LEVEL`, however the checks depend on each other. With a population the level is `WITH_POPULATIONS`. The
-checks of the laws over the tests then get `OF_POPULATIONS`, and the other kinds equal shares of the rest. The
-kinds of check are:
+Each kind of check that applies to a run gets an equal part of the level `LEVEL`, and the checks of one kind divide
+this part equally (Bonferroni). A correct model therefore fails at least one check with a probability of at most
+`LEVEL`, however the checks depend on each other. With a population the level is `WITH_POPULATIONS`. Checks of
+laws, which relate a parameter's values in different tests, then get `OF_POPULATIONS`, and the other kinds equal
+parts of the rest. The kinds of check are:
 
 - A mode predicted from the other modes, and a mode that was held out. The statistic is the tail probability of the
   measured frequency in the predictive distribution that was computed without this mode, noise included. Under a
@@ -19,7 +19,7 @@ kinds of check are:
   Appl. Probab.* 14, 623–632). It is compared with α/2. This bound is conservative: with k parameters fitted to n
   data, Σ r² is about k plus a χ²(n − k) variable, and false alarms are rarer than α. If the standard deviation of
   an error was estimated from a few tests, the error has Student's distribution, and r is its normal score.
-- One of several tests. The statistic is Σ r² over the residuals of this test alone, and the p-value is the same.
+- One of several tests. The statistic is Σ r² over this test's residuals alone, and the p-value is the same.
 - Inferred standard deviations. At one posterior draw, the prior probability of a larger standard deviation is
   uniform, by the same argument, and its mean over the draws is compared with α/2. If the noise had to grow to
   absorb a misfit of the model, the check fails, provided that the prior is informative. With a wide prior it
@@ -27,10 +27,10 @@ kinds of check are:
 - A weighed mass or a static displacement. The p-value is the mean of P(χ²₁ ≥ r²) over the draws, where r is the
   residual of this datum. It is compared with α/2.
 - A frequency response function, and its values that were not used in updating: see `fmu.analysis.frf.check`.
-- A population, and the law of a parameter over the tests: see `fmu.analysis.fit.populations`.
+- A population, and a parameter's law: see `fmu.analysis.fit.populations`.
 - A mode shape that differs from the measured one: its MAC is below `ALIKE` after updating. This check has no
-  level, because no error model is stated for the shapes. If the likelihood includes shape errors, they count among
-  the residuals instead.
+  level, because no error model is stated for the mode shapes. If the likelihood includes shape errors, they count
+  among the residuals instead.
 """
 
 from __future__ import annotations
@@ -83,14 +83,15 @@ if TYPE_CHECKING:
 _FEW = 500
 """Number of draws that suffices to find the factor on the residuals at which a check fails."""
 _MOST = 10.0
-"""Residuals that fail only if they are larger by this factor do not test a model without degrees of freedom."""
+"""A model without degrees of freedom is not tested by a check that needs residuals larger by this factor to
+fail."""
 NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
 _TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return the list of the checks of a run; empty for the modal residual, which is not a measured quantity."""
+    """Return all checks of a run; empty for the modal residual, which is not a measured quantity."""
     of_each, of_laws = _levels(trace)
     found = [check for kind in _kinds(trace) for check in kind(of_each)]
     found += population_checks(trace, of_laws) if _has_laws(trace) else []
@@ -98,21 +99,21 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def contradicted_laws(trace: xr.DataTree) -> list[str]:
-    """Return a list of the dependences on order, covariate or group that contradict the law of a parameter."""
+    """Return the dependences on order, covariate or group that contradict a parameter's law, in words."""
     if not _has_laws(trace):
         return []
     return [check.dependence for check in population_checks(trace, _levels(trace)[1]) if check.dependence]
 
 
 def _has_laws(trace: xr.DataTree) -> bool:
-    """Return True if the scores of the tests were stored, from which the laws of parameters are tested."""
+    """Return True if the trace stores the test scores from which parameter laws are checked."""
     return has(trace, GROUP) and (has(trace, POPULATIONS, "score") or has(trace, RESIDUAL_SCORES, "score"))
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
     """Return the kinds of check that apply to a run, each as a function of its level.
 
-    Checks of the laws over the tests are not included.
+    Checks of parameter laws are not included.
     """
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
@@ -136,7 +137,7 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
 
 
 def _levels(trace: xr.DataTree) -> tuple[float, float]:
-    """Return the level of each kind of check in `_kinds`, and the level of the checks of laws over the tests."""
+    """Return the level of each kind of check in `_kinds`, and the level for checks of parameter laws."""
     n = len(_kinds(trace))
     if has(trace, POPULATIONS, "score"):
         return (WITH_POPULATIONS - OF_POPULATIONS) / max(n, 1), OF_POPULATIONS
@@ -145,7 +146,7 @@ def _levels(trace: xr.DataTree) -> tuple[float, float]:
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return the table of the predictions of each mode without that mode, one row per mode.
+    """Return a table that predicts each mode from the other modes, one row per mode.
 
     Unknown predictions are NaN. Return None if the run has no frequencies, or if they are not data.
     """
@@ -160,7 +161,7 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Return a list with one check per mode; modes that were not predicted are checked by their residuals."""
+    """Return one check per mode; modes that were not predicted are checked by their residuals."""
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
@@ -199,12 +200,12 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
 
 
 def _limits(row: pd.Series, level: float) -> tuple[float, float]:
-    """Return the lower and the upper frequency, Hz, whose two-sided tail probability is `level`.
+    """Return the lower and upper frequencies, Hz, whose two-sided tail probability is `level`.
 
-    Each tail is assumed to have the shape of the error distribution, scaled to the end of the 90 % interval on its
-    side. This is exact if the predictive distribution has the shape of the error distribution. If the measured
-    frequency lies outside the interval, the tail on its side also passes through the known tail probability of the
-    measured frequency. A mode is then beyond its limit whenever its probability is below the level.
+    Each tail is assumed to have the shape of the error distribution, scaled to the 90 % interval end on its side.
+    This is exact if the predictive distribution has that shape. If the measured frequency lies outside the
+    interval, the tail on its side also passes through the measured frequency's known tail probability. A mode is
+    then beyond its limit whenever its probability is below the level.
     """
     freedom = min(float(row["freedom"]), _GAUSSIAN)
     end, wanted, here = (-float(stdtrit(freedom, 0.5 * p)) for p in (0.1, level, max(float(row["p"]), _TINY)))
@@ -220,7 +221,7 @@ def _limits(row: pd.Series, level: float) -> tuple[float, float]:
 
 
 def _how(trace: xr.DataTree, mode: str) -> str:
-    """Return `` (the mean of 5 tests)`` for a mode measured in several tests; else an empty string."""
+    """Return `` (the mean of 5 tests)`` for a mode measured in several tests, otherwise an empty string."""
     tests = measured_tests(trace)
     at = [str(label) == mode for label in trace["observed_data"]["mode"].to_numpy()]
     return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
@@ -242,9 +243,9 @@ def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float)
 def _judge_squares(
     kind: str, of: str, squares: FloatArray, freedom: int, limit: float, against: str, parts: str = ""
 ) -> tuple[Check, float]:
-    """Return the check of Σ r² at the draws, and the factor on all residuals at which this check would fail.
+    """Return the check of Σ r² at the draws, and the factor on all residuals at which it would fail.
 
-    The text `against` begins the sentence of the check, and `parts` is added to the description of the sum.
+    `against` begins the check's sentence, and `parts` is added to the description of the sum.
     """
     p, larger = float(chdtrc(freedom, squares).mean()), _larger(squares, freedom, limit)
     found = f"Σ r² = {significant(float(squares.mean()))}{parts}, {freedom} expected"
@@ -254,7 +255,7 @@ def _judge_squares(
 
 
 def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with the single check of all used data together."""
+    """Return the check of all used data together, in a list."""
     group = trace[GROUP].to_dataset()
     squares, n_modes = group["squares"], group.sizes["mode"]
     freedom = group["freedom"].to_numpy() * n_modes
@@ -270,7 +271,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _tests(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per test: whether the other tests contradict it."""
+    """Return one check per test of whether the other tests contradict it."""
     group, every = trace[GROUP].to_dataset(), trace["observed_data"].to_dataset()["of_test"]
     squares = group["squares"].sum("quantity")
     of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())
@@ -292,7 +293,7 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Return the reason why the check of residuals tests nothing; empty if it does test the model.
+    """Return why the check of residuals tests nothing, or an empty string if it does test the model.
 
     The check would fail only for residuals `larger` times as large. With a degree of freedom left it still tests
     the model, because the parameters cannot fit arbitrary errors, even if they fit the present errors well.
@@ -314,7 +315,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Return a list with one check per inferred standard deviation: whether it agrees with its prior."""
+    """Return one check per inferred standard deviation of whether it agrees with its prior."""
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -350,9 +351,9 @@ def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list
 
 
 def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
-    """Return `factor` times the noise of the first mode's frequency as text, in Hz and in per cent.
+    """Format `factor` times the noise of the first mode's frequency, in Hz and in per cent.
 
-    The text is empty if the noise is not of frequencies.
+    The text is empty if the noise is not that of frequencies.
     """
     if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
         return ""
@@ -363,7 +364,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return the reason that the noise was free to grow, if it may hide a misfit; else an empty string."""
+    """Return a clause that the noise was free to grow, if it may hide a misfit; otherwise an empty string."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE
@@ -376,7 +377,7 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:
-    """Return a list with one check per measured shape; empty if the residuals include the shape errors."""
+    """Return one check per measured mode shape; empty if the residuals include the shape errors."""
     if "shapes" in trace[GROUP]["quantity"].to_numpy():
         return []
     sentences = iter(shape_warnings(trace))

@@ -13,19 +13,20 @@ if TYPE_CHECKING:
     import xarray as xr
 
 FAR = 4.0
-"""A misfit of this many standard deviations has a probability of 6e-5 if the standard deviations are correct."""
+"""Number of standard deviations of misfit that causes a warning; if they are correct, its probability is 6e-5."""
 NEAR = 0.01
-"""A misfit above this share of the frequency is attributed to the model, whatever the standard deviations are."""
+"""Fraction of the frequency above which a misfit is attributed to the model, whatever the standard deviations
+are."""
 
 
 def deviation_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a warning if the measured standard deviations of some modes may be too small.
+    """Return a warning, in a list, if the measured standard deviations of some modes may be too small.
 
-    Standard deviations from modal identification describe the scatter within one record. They include neither the
+    Standard deviations from modal identification describe the scatter within one record. They include neither
     changes between records (temperature, level of vibration) nor the bias of the identification. The warning names
     each mode whose posterior mean frequency differs from the measured one by more than `FAR` standard deviations,
-    but by less than the share `NEAR` of the frequency. Inferred standard deviations and repeated tests never cause
-    a warning.
+    but by less than the fraction `NEAR` of the frequency. Inferred standard deviations and repeated tests never
+    cause a warning.
     """
     if not has(trace, "observed_data", "frequency") or not has(trace, "posterior_predictive", "model_frequency"):
         return []

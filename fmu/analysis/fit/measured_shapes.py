@@ -20,7 +20,7 @@ MOST_TESTS = 5
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
-    """Return the MAC with a single test's measured shapes (state, reference_mode, mode); None without them."""
+    """Return the MAC with a single test's measured shapes (state, reference_mode, mode), or None without them."""
     if not has(trace, GROUP, "mac"):
         return None
     found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
@@ -28,7 +28,7 @@ def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
 
 
 def paired_mac(trace: xr.DataTree) -> list[tuple[str, float, float]]:
-    """Return a list of each measured mode and its MAC with the measured shape, before and after updating.
+    """Return each measured mode with its MAC to the measured shape, before and after updating.
 
     The list is empty without measured shapes. The modes of several tests are named ``"test: mode"``.
     """
@@ -44,10 +44,10 @@ def paired_mac(trace: xr.DataTree) -> list[tuple[str, float, float]]:
 
 
 def shape_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each mode whose MAC with its measured shape is below `ALIKE` after updating.
+    """Return a sentence on each mode whose MAC with its measured shape is below `ALIKE` after updating.
 
-    If the size of the shape errors is inferred, it grows until any shape is probable, and no prediction shows the
-    misfit.
+    If the size of the shape errors is inferred, it grows until any mode shape is probable, and no prediction shows
+    the misfit.
     """
     return [
         f"mode {mode} does not match the measured shape: MAC {fixed(before, 2)} before and {below(after)} after "
@@ -58,14 +58,14 @@ def shape_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def below(mac: float) -> str:
-    """Return a MAC as text, with enough digits to show whether it is below `ALIKE`."""
+    """Format a MAC value with enough digits to show whether it is below `ALIKE`."""
     return apart(mac, ALIKE, sd=0.1)[0]
 
 
 def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
-    """Return a dict from the name of each test to the comparison of its shapes with the model in one state.
+    """Return each test's comparison of mode shapes with the model in one state, by test name.
 
-    The name of a single test is empty, and so is the dict without measured shapes.
+    The name of a single test is an empty string. The dict is empty without measured shapes.
     """
     if not has(trace, GROUP):
         return {}
@@ -90,7 +90,7 @@ def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
 
 
 def sensor_warnings(trace: xr.DataTree) -> list[str]:
-    """Return warnings about the sensors of several tests at the posterior mean, for at most `MOST_TESTS` tests.
+    """Return warnings about sensors of several tests at the posterior mean, for at most `MOST_TESTS` tests.
 
     The sensors of a single test are described in a section of its report.
     """

@@ -54,11 +54,13 @@ class ModelFit:
     n_data, n_parameters : int
         Number of independent measured values used in updating, and number of parameters, inferred noise included.
     left_out : str
-        Measured quantities that no check covers, because their residuals have no known distribution; else empty.
+        Measured quantities that no check covers, because their residuals have no known distribution; otherwise
+        empty.
     scatter : tuple of str
-        The size of the error of the model, one sentence for each scatter of parameters over the modes; else empty.
+        Sentences on the size of the model discrepancy, one per scatter of parameters between modes; otherwise
+        empty.
     remedy : str
-        How to allow for the error of a contradicted model; empty if no further remedy is known.
+        How to allow for the discrepancy of a contradicted model; empty if no further remedy is known.
     """
 
     checks: tuple[Check, ...]
@@ -74,10 +76,10 @@ class ModelFit:
 
         The verdict is `CONTRADICTED` if a check failed, however many parameters the model has, and `UNKNOWN` if
         there are no checks. If the data do not outnumber the parameters, the model can fit any data that its
-        priors allow, so that a good fit is no evidence for it. Only a held-out mode, a population or a law over
-        the tests then tests it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the checks
-        could have failed. Else it is `ALLOWED` if the parameters may scatter over the modes, and
-        `NOT_CONTRADICTED` if not.
+        priors allow, so a good fit is no evidence for it. Only a held-out mode, a population or a parameter law
+        then tests it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the checks could
+        have failed. Otherwise it is `ALLOWED` if the parameters may scatter between modes, and `NOT_CONTRADICTED`
+        if not.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
@@ -90,12 +92,12 @@ class ModelFit:
 
     @property
     def counts(self) -> str:
-        """The numbers of data and of parameters in words: ``"10 data, 11 parameters"``."""
+        """Numbers of data and parameters in words: ``"10 data, 11 parameters"``."""
         return f"{self.n_data} data, {self.n_parameters} parameter{'' if self.n_parameters == 1 else 's'}"
 
     @property
     def able(self) -> tuple[Check, ...]:
-        """The checks that failed or could have failed."""
+        """Checks that failed or could have failed."""
         return tuple(check for check in self.checks if check.could_fail)
 
     @property
@@ -111,17 +113,17 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """The sentences of the failed checks: first those that name a cause, then the least probable ones."""
+        """Sentences of the failed checks: first those that name a cause, then the least probable ones."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
     def said(self) -> tuple[str, ...]:
-        """The sentences of the failed checks, followed by how the model's error is, or could be, allowed for."""
+        """Sentences of the failed checks, followed by how the discrepancy is, or could be, allowed for."""
         return (*self.against, *self._allowed)
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The reasons for the verdict, one sentence each.
+        """Reasons for the verdict, one sentence each.
 
         If checks failed, these are their sentences. Otherwise the reasons state which checks could have failed,
         how many degrees of freedom are left, and whether a mode was held out.
@@ -155,7 +157,7 @@ class ModelFit:
 
     @property
     def _allowed(self) -> tuple[str, ...]:
-        """Sentences on the scatter that allows for the error of the model, or on how to allow for it."""
+        """Sentences on the scatter that allows for the model discrepancy, or on how to allow for it."""
         if self.verdict == CONTRADICTED and self.remedy:
             return (f"{self.remedy}.",)
         return tuple(f"{sentence}." for sentence in self.scatter)
@@ -194,7 +196,7 @@ class ModelFit:
 
     @property
     def _noise(self) -> tuple[str, ...]:
-        """Sentences that compare inferred noise with its prior, for each noise check that passed."""
+        """Sentences that compare inferred noise with its prior, one for each noise check that passed."""
         return tuple(
             f"{check.of}: {check.found}. "
             + (f"{check.why_not[0].upper()}{check.why_not[1:]}: only beyond {check.limit} would it have counted "
@@ -216,7 +218,7 @@ class ModelFit:
 
 
 def model_fit(trace: xr.DataTree) -> ModelFit:
-    """Judge whether the model fits the data, by the checks of `fmu.analysis.fit.checks`."""
+    """Judge whether the model fits the data, using the checks of `fmu.analysis.fit.checks`."""
     if not has(trace, GROUP):
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs

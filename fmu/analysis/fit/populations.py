@@ -1,12 +1,13 @@
-"""Checks of the law of each parameter over the tests: populations, and laws in groups and covariates.
+"""Checks of each parameter's law, that is how its values in different tests are related.
 
-The score of a test in a population is the distance of its value from the population mean, in population standard
+A test's score in a population is the distance of its value from the population mean, in population standard
 deviations. If the model is correct, the scores are independent standard normal draws, whatever the order of the
 tests, their groups and their covariates. The posterior mean m of a score then has the variance 1 − s², where s is
-the posterior standard deviation of the score. The checks use m/√(1 − s²). Where values are correlated in time,
-they use the innovations at one posterior draw, which are standard normal and independent if the model is correct;
-the posterior means of the innovations would not be independent. A parameter that does not scatter has scores from
-the residuals (`fmu.analysis.fit.residual_scores`). The checks are
+the score's posterior standard deviation. The checks use m/√(1 − s²).
+
+If values are correlated in time, the checks use the innovations at one posterior draw, which are standard normal
+and independent if the model is correct. Their posterior means would not be independent. A parameter that does not
+scatter has scores from the residuals (`fmu.analysis.fit.residual_scores`). The checks are
 
 - permutation tests of the causes in `fmu.analysis.fit.causes`;
 - for a population, a test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58;
@@ -39,11 +40,11 @@ if TYPE_CHECKING:
 
 GROUP = "populations"
 _INFORMED = 0.05
-"""A score is ignored if the data remove less than this share of its prior variance."""
+"""A score is ignored if the data remove less than this fraction of its prior variance."""
 _FEWEST = 6
 _OUTLIER = 0.5
 _TO_CAUSES = 0.6
-"""Share of the level for the causes; the rest is for the test farthest from the mean."""
+"""Fraction of the level that goes to the causes; the rest goes to the test farthest from the mean."""
 _POPULATION = (
     "population of",
     "the tests are not independent draws from one distribution",
@@ -54,18 +55,18 @@ _LAW = (
     "the tests contradict its law in the model",
     "values that depend on order, group or covariate otherwise than in the model",
 )
-"""What is checked, the evidence against the model, and the errors that the check would have revealed."""
+"""The checked quantity, the evidence against the model, and the errors that the check would have revealed."""
 _FEW_TESTS = f"fewer than {_FEWEST} tests tell their values, so that no order of them is improbable"
 
 
 def population_group(
     problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
 ) -> xr.Dataset:
-    """Return the trace group with the posterior means and standard deviations of the scores, and the correlations.
+    """Return the trace group with the posterior means, standard deviations and correlations of the scores.
 
-    Where a population is correlated in time, ``innovation`` has its innovations at the last draw
-    (`fmu.posterior.joint.varies.autocorrelation`). Where tests may be outliers, ``outlier`` is the probability
-    that a test is an outlier, and ``outlier_of`` the probability that its score in a population is.
+    If a population is correlated in time, ``innovation`` has its innovations at the last draw
+    (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the probability that a
+    test is an outlier, and ``outlier_of`` the probability that its score in a population is.
 
     Parameters
     ----------
@@ -107,14 +108,14 @@ def population_group(
 
 
 def _scores_of(one: Drawn, theta: FloatArray) -> FloatArray:
-    """Return the standard normal scores of the tests that have a score, (n, n_scored)."""
+    """Return the standard normal scores of the tests that have a score, (n, n_scored), at theta."""
     return one.population_scores(theta)[0][:, one.scored]
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per parameter whose law over the tests is tested; empty for a single test.
+    """Return one check per parameter whose law is tested; empty for a single test.
 
-    A parameter is tested if it scatters, or if its value in every test follows from the law of the model.
+    A parameter is tested if it scatters, or if the model's law gives its value in every test.
     """
     tests, columns, names = problem_of(trace)["tests"], [], []
     populations: list[str] = []
@@ -139,7 +140,7 @@ def checks_of_scores(
     level: float,
     others: Sequence[str] = (),
 ) -> list[Check]:
-    """Return a list with one check per parameter.
+    """Return one check per parameter.
 
     Parameters
     ----------
@@ -222,7 +223,7 @@ def _explained_by_others(
 
 
 def _regress_out(scores: FloatArray, k: int) -> FloatArray:
-    """Return the scores of all other parameters after their regression on the scores of parameter `k`."""
+    """Regress the scores of parameter `k` out of the scores of all other parameters."""
     z = scores - np.nanmean(scores, axis=0)
     by = np.nan_to_num(z[:, k])
     slopes = np.nansum(z * by[:, None], axis=0) / np.sum(by**2)
@@ -231,10 +232,10 @@ def _regress_out(scores: FloatArray, k: int) -> FloatArray:
 
 
 def standard_scores(group: xr.Dataset) -> FloatArray:
-    """Return scores that are standard normal if the model is correct, (n_tests, n_populations); NaN where unknown.
+    """Return scores that are standard normal if the model is correct, (n_tests, n_populations).
 
-    Tests that are probably outliers, and scores that the data hardly inform, are NaN. For populations that are
-    correlated in time, the innovations take the place of the scores.
+    Scores of probable outliers, and scores that the data hardly inform, are NaN. For populations that are
+    correlated in time, innovations replace the scores.
     """
     mean, sd = (group[name].transpose("test", "population").to_numpy() for name in ("score", "score_sd"))
     informed = 1.0 - sd**2
@@ -249,10 +250,10 @@ def standard_scores(group: xr.Dataset) -> FloatArray:
 
 
 def effective_parameters(trace: xr.DataTree) -> int:
-    """Return the effective number of parameters of a trace, rounded to an integer.
+    """Return the effective number of parameters in a trace, rounded to an integer.
 
-    A score of a test counts as the share of its prior variance that the data remove; every other parameter counts
-    as one.
+    A test score counts as the fraction of its prior variance that the data remove; any other parameter counts as
+    one.
     """
     n = len(parameter_names(trace))
     if not has(trace, GROUP, "score_sd"):
@@ -265,7 +266,7 @@ def effective_parameters(trace: xr.DataTree) -> int:
 
 
 class _Farthest(NamedTuple):
-    """Index of the test farthest from the mean, its distance in standard deviations, and its p-value."""
+    """The test farthest from the mean: its index, its distance in standard deviations, and its p-value."""
 
     test: int
     distance: float

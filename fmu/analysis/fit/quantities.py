@@ -1,4 +1,4 @@
-"""The checks of a model against weighed masses and static displacements."""
+"""Checks of a model against weighed masses and static displacements."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def quantity_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per measured mass or displacement: whether the updated model reproduces it."""
+    """Return one check per measured mass or displacement of whether the updated model reproduces it."""
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])
     for label in map(str, group["datum"].to_numpy()):

@@ -1,11 +1,12 @@
-"""Scores of the tests from the residuals: the direction in which the data of each test would move a parameter.
+"""Test scores from residuals: the direction in which each test's data would move a parameter.
 
-For a parameter that does not scatter, the model gives the value in every test: one value, a value for each group,
-or a law in the covariates. Let r be the residuals of test t, in standard deviations, and J their derivatives with
-respect to the parameter in this test, at the posterior mean. The score is s_t = −Jᵀr/|J|. This is the statistic of
-the score test of whether the value in test t differs from the model (Rao 1948, *Proc. Camb. Phil. Soc.* 44,
-50–57). It is positive if the data favour a larger value. If the model is correct, the scores are independent of
-order, groups and covariates. Their variance is nearly one, because many tests determine few parameters.
+For a parameter that does not scatter, the model gives its value in every test: one common value, a value for each
+group, or a law in the covariates. Let r be the residuals of test t, in standard deviations, and J their
+derivatives with respect to the parameter in this test, at the posterior mean. The score is s_t = −Jᵀr/|J|. It is
+the statistic of Rao's score test of whether the value in test t differs from the model (Rao 1948, *Proc. Camb.
+Phil. Soc.* 44, 50–57). It is positive if the data favour a larger value. If the model is correct, the scores are
+independent of order, groups and covariates. Their variance is nearly one, because many tests determine few
+parameters.
 """
 
 from __future__ import annotations
@@ -25,15 +26,14 @@ if TYPE_CHECKING:
 
 GROUP = "residual_scores"
 _LEAST = 1e-6
-"""A parameter does not affect a test if its derivatives are below this share of the largest of all tests.
-
-The share applies to sums of squared derivatives."""
+"""A parameter does not affect a test if its sum of squared derivatives is below this fraction of the largest of
+all tests."""
 _IN_EACH_TEST = ("mean", "test")
 """Roles of parameters whose values in the tests are free: those of a population, and those of single tests."""
 
 
 def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.Dataset]:
-    """Return a dict with the trace group ``residual_scores``.
+    """Return the trace group ``residual_scores`` in a dict.
 
     The dict is empty if all parameters scatter or have a separate value in each test, or if derivatives would take
     further calls of a user's function.
@@ -41,7 +41,7 @@ def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem of several tests.
+        A problem with several tests.
     theta : ndarray, shape (n, ndim)
         Posterior draws.
     """

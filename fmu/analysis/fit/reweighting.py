@@ -1,4 +1,4 @@
-"""The scatter that the parameters would have, and its effect, estimated from draws of a model without scatter."""
+"""Estimate from draws without model discrepancy how much the parameters would scatter, and the effect of this."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 PRIOR_SD = 0.1
 """Standard deviation of the half-normal prior of τ: the default of `fmu.Discrepancy`."""
 _EQUAL = 1e-6
-"""Ratio of the standard deviation of draws to that of the linear model below which the draws count as equal."""
+"""Ratio of the draws' standard deviation to the linear model's below which the draws count as equal."""
 _FEWEST = 100.0
-"""Smallest number of effective draws for an estimate."""
+"""Smallest ESS for an estimate."""
 TAU = np.linspace(0.0, 5.0 * PRIOR_SD, 201)[1:]
 """Values of the scatter at which densities are computed, shape (n_tau,)."""
 
@@ -34,9 +34,9 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     by_tau : ndarray, shape (n_tau,)
-        Posterior probability of each scatter τ of `TAU`.
+        Posterior probability of each scatter τ in `TAU`.
     wider : ndarray, shape (ndim,)
-        Ratio of the standard deviation of each parameter with scatter to that without.
+        Each parameter's standard deviation with scatter divided by its value without.
     """
 
     by_tau: FloatArray
@@ -44,7 +44,7 @@ class Estimate(NamedTuple):
 
     @property
     def quantiles(self) -> tuple[float, float, float]:
-        """The 5 %, 50 % and 95 % quantiles of τ."""
+        """5 %, 50 % and 95 % quantiles of τ."""
         below = np.cumsum(self.by_tau)
         low, middle, high = (float(np.interp(q, below, TAU)) for q in (0.05, 0.5, 0.95))
         return low, middle, high
@@ -53,8 +53,8 @@ class Estimate(NamedTuple):
 def estimated_scatter(trace: xr.DataTree) -> str:
     """Return a sentence with the estimated scatter τ and the standard deviations with scatter; empty if unknown.
 
-    The draws are reweighted (`by_draws`). If they do not cover the posterior with scatter, which is wider, the
-    sentence says so, and the estimate is that of the linearised model (`by_linearised_model`).
+    The draws are reweighted (`by_draws`). If they do not cover the wider posterior with scatter, the sentence says
+    so, and the estimate comes from the linearised model (`by_linearised_model`).
     """
     found, how = by_draws(trace), "By these draws, reweighted,"
     if found is None:
@@ -77,17 +77,17 @@ def estimated_scatter(trace: xr.DataTree) -> str:
 
 
 def by_draws(trace: xr.DataTree) -> Estimate | None:
-    """Return the estimate from the draws, weighted by the ratio of the densities with and without scatter.
+    """Estimate the scatter from the draws, weighted by the density with scatter over the density without.
 
     Let r_i be the residuals in standard deviations of the measurement, g_i = Σ_k (∂r_i/∂ln θ_k)² at the maximum,
-    and p the half-normal prior of τ. The ratio at a draw is then the integral of
-    p(τ) Π_i (1 + τ² g_i)^(−1/2) exp(½ r_i² τ² g_i/(1 + τ² g_i)) over τ.
+    and p the half-normal prior of τ. The density ratio at a draw is then the integral of p(τ) Π_i (1 + τ²
+    g_i)^(−1/2) exp(½ r_i² τ² g_i/(1 + τ² g_i)) over τ.
 
     Returns
     -------
     Estimate or None
-        None if the residuals are not of frequencies alone, their derivatives are unknown, or the weights are not
-        reliable (Pareto k, effective draws).
+        None if the residuals are not those of frequencies alone, their derivatives are unknown, or the weights are
+        not reliable (Pareto k, ESS).
     """
     linear = _linearise(trace)
     if linear is None:
@@ -107,13 +107,12 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
 
 
 def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
-    """Return the estimate of a model that is linear about the maximum, with Gaussian priors; None if unknown.
+    """Estimate the scatter from a model that is linear about the maximum, with Gaussian priors; None if unknown.
 
-    Let the parameters x, in standard deviations of the prior, have the prior N(x₀, I), and r = r* + S (x − x*).
-    Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance
-    of x is (I + Sᵀ V⁻¹ S)⁻¹, to which the spread of its means over τ adds. The bounds enter only through the
-    moments of the prior. The standard deviations without scatter are those of the draws or, where all draws are
-    equal, of the linear model.
+    Let the parameters x, in prior standard deviations, have the prior N(x₀, I), and r = r* + S (x − x*). Then r* +
+    S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance of x is (I
+    + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter only through the moments of the prior. The
+    standard deviations without scatter are those of the draws or, if all draws are equal, of the linear model.
     """
     linear = _linearise(trace)
     if linear is None or linear.expected is None:
@@ -138,7 +137,7 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
 
 
 class _Linearised(NamedTuple):
-    """Slopes S (n_modes, p) of the residuals in prior sds (p,), g (n_modes,), and residuals at the prior mean."""
+    """Residual derivatives S (n_modes, p) in prior sds (p,), g (n_modes,), and residuals at the prior mean."""
 
     S: FloatArray
     prior_sd: FloatArray
@@ -147,7 +146,7 @@ class _Linearised(NamedTuple):
 
 
 def _linearise(trace: xr.DataTree) -> _Linearised | None:
-    """Return the model linearised at the maximum; None if its derivatives are unknown."""
+    """Linearise the model at the maximum; return None if its derivatives are unknown."""
     if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
         return None
     known, used = trace["identifiability"].to_dataset(), trace[GROUP]["mode"].to_numpy()
@@ -174,7 +173,7 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
 
 
 def _log_ratios(squares: FloatArray, g: FloatArray) -> FloatArray:
-    """Return log p(τ) plus the log-ratio of the densities, (n, n_tau), for squared residuals (n, n_modes)."""
+    """Return log p(τ) plus the log density ratio, (n, n_tau), for squared residuals (n, n_modes)."""
     inflation = TAU[:, None] ** 2 * g
     prior = -0.5 * (TAU / PRIOR_SD) ** 2 + np.log(np.sqrt(2.0 / np.pi) / PRIOR_SD * (TAU[1] - TAU[0]))
     gained = 0.5 * squares @ (inflation / (1.0 + inflation)).T
