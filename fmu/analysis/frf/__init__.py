@@ -1,1 +1,1 @@
-"""Frequency response functions at the draws of a run: predictions, misfit, and checks of the model with them."""
+"""Frequency response functions (FRFs) at the draws of a run: predictions, misfit, and checks of the model."""

@@ -1,4 +1,4 @@
-"""The certificate of the reduced model of frequency response functions, at the draws of a run."""
+"""Errors of the reduced model's FRFs at some draws of a run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DRAWS = 4
 
 
 def certify_frfs(trace: xr.DataTree, problem: UpdatingProblem, draws: int = _DRAWS) -> FRFCertificate | None:
-    """Return the errors of the reduced model of the FRFs at some draws; None without FRFs or a reduced model.
+    """Return the FRF errors of the reduced model at some draws, or None without FRFs or a reduced model.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def certify_frfs(trace: xr.DataTree, problem: UpdatingProblem, draws: int = _DRA
     problem : UpdatingProblem
         The problem that was sampled.
     draws : int
-        Number of draws, chosen at random by the seed of the trace.
+        Number of draws, chosen at random with the trace's seed.
 
     Warns
     -----

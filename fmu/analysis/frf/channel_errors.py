@@ -1,4 +1,4 @@
-"""Errors of a measurement channel that would explain why a frequency response function contradicts the model."""
+"""Measurement channel errors that would explain why an FRF contradicts the model."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _EXPLAINS = 0.25
-"""Largest share of the squared errors that may remain for an explanation to be accepted."""
+"""Largest fraction of the squared error that may remain after a channel error explains the misfit."""
 _SIMPLER = 1.1
-"""Ratio of the squared errors up to which reversed polarity is preferred to a gain near minus one."""
+"""Ratio of squared errors up to which reversed polarity is preferred to a gain near minus one."""
 _STEPS, _ROUNDS = 201, 4
 """Number of delays that are tried at a time, and number of searches in ever smaller intervals."""
 
 
 def explain_by_channel(one: xr.Dataset) -> str:
-    """Return a clause on the channel error that explains most of the misfit of one FRF; empty if none does.
+    """Return a clause on the channel error that explains most of an FRF's misfit, or "" if none does.
 
-    The candidates are another gain, reversed polarity and a delay, each applied to the median of the model's FRFs.
+    The candidate errors are a wrong gain, reversed polarity and a delay, each applied to the median of the model's
+    FRFs.
 
     Parameters
     ----------
@@ -39,7 +40,7 @@ def explain_by_channel(one: xr.Dataset) -> str:
     weight = (distance / np.maximum(np.abs(d - H), np.finfo(float).tiny)) ** 2  # 1/V
 
     def squares_with(factor: Any) -> Any:
-        """Return the sum of squared errors if the FRF is multiplied by a number, or by factors (..., n_lines)."""
+        """Return the weighted squared error if the FRF is multiplied by `factor`, (...) or (..., n_lines)."""
         return np.sum(weight * np.abs(d - factor * H) ** 2, axis=-1)
 
     gain = float(np.sum(weight * np.real(np.conj(H) * d)) / np.sum(weight * np.abs(H) ** 2))

@@ -1,4 +1,4 @@
-"""The check of a model against measured frequency response functions."""
+"""Checks of a model against measured FRFs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per frequency response function: whether noise alone explains the misfit.
+    """Return one check per FRF of whether noise alone explains the misfit.
 
     At each draw, Σ r² over the lines is chi-square if the model is correct, and P(χ² ≥ Σ r²) is uniform; its mean
     over the draws is compared with half the level (`fmu.analysis.fit.checks`).
@@ -55,12 +55,12 @@ def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def has_held_out(trace: xr.DataTree) -> bool:
-    """Return True if some measured values of frequency response functions were held out to test the model."""
+    """Return True if some measured FRF values were held out to test the model."""
     return bool(trace[GROUP]["held_freedom"].to_numpy().any())
 
 
 def held_out_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per frequency response function that has values not used in updating.
+    """Return one check per FRF that has values not used in updating.
 
     The squared distance of these values from their prediction, noise included, is chi-square if the model is
     correct (`fmu.analysis.frf.predictions`).

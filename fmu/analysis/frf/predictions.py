@@ -1,4 +1,4 @@
-"""The group of a trace with measured and predicted frequency response functions."""
+"""The trace group with measured and predicted FRFs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 GROUP = "frfs"
 _JUDGED, _DRAWN, _AT_ONCE = 500, 200, 16
-"""Numbers of draws compared with the data and used for the bands, and number of draws solved together."""
+"""Numbers of draws compared with the data and used for the bands, and number of draws solved in one batch."""
 _BAND = (0.05, 0.5, 0.95)
 _FILL = {"in_spectrum": 0, "used": 0, "held_out": 0}
-"""Values at lines that only the spectra of other tests have, for variables that cannot be NaN."""
+"""Fill values of variables that cannot be NaN, at lines that only other tests' spectra have."""
 
 
 class HeldOut(NamedTuple):
-    """The comparison of held-out values with their prediction, for each FRF.
+    """Comparison of held-out FRF values with their prediction, for each FRF.
 
     Attributes
     ----------
@@ -40,14 +40,14 @@ class HeldOut(NamedTuple):
 
 
 def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> dict[str, xr.Dataset]:
-    """Return a dict with the group ``frfs`` of a trace; empty if no frequency response functions were measured.
+    """Return the trace group ``frfs`` in a dict; the dict is empty if no FRFs were measured.
 
     Parameters
     ----------
     problem : UpdatingProblem
     position : ndarray, shape (chains, draws, ndim)
     rng : Generator
-        For simulated errors of the measurement.
+        For simulated measurement errors.
 
     Returns
     -------
@@ -60,15 +60,15 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
         whether a value is used, or tests the updated model (`fmu.posterior.data.held_out_lines`).
 
         ``amplitude`` and ``phase`` (kind, quantile, frf, line) are the 5 %, 50 % and 95 % quantiles of the model's
-        FRFs with the errors of the channels, and of another measurement; phases are in degrees. ``distance``
-        (frf, line) is the root of the sum of the squared errors of the real and the imaginary part (or of log
-        amplitude and phase) in standard deviations, at the mean of the model's FRFs. ``squares`` (sample, frf) is
-        chi-square with ``freedom`` (frf) degrees of freedom if the model is correct.
+        FRFs with channel errors, and of another measurement; phases are in degrees. ``distance`` (frf, line) is
+        the root sum of squares of the real and imaginary errors (or of log amplitude and phase) in standard
+        deviations, at the mean of the model's FRFs. ``squares`` (sample, frf) is chi-square with ``freedom`` (frf)
+        degrees of freedom if the model is correct.
 
         For ``held_squares``, ``held_freedom`` and ``held_inside`` (frf) see `HeldOut`. ``frac`` (frf) is the
         frequency response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF
-        that is not used. ``gain`` and ``gain_sd`` (channel) are the gain errors that are integrated out.
-        Predictions are NaN at values that are neither used nor held out.
+        that is not used. ``gain`` and ``gain_sd`` (channel) are the marginalised gain errors. Predictions are NaN
+        at values that are neither used nor held out.
     """
     import xarray as xr
 
@@ -86,7 +86,7 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
 
 def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> xr.Dataset:
-    """Return the group of the FRFs of one test, at draws (n, n_own) of the parameters of this test's `term`."""
+    """Return the FRF group of one test, at draws (n, n_own) of the parameters of this test's `term`."""
     import xarray as xr
 
     data = term.data
@@ -113,7 +113,7 @@ def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -
     known = term.channels.gain_sd > 0.0
 
     def spread(values: FloatArray) -> FloatArray:
-        """Return values at all lines, NaN where nothing is predicted, from values at the predicted lines."""
+        """Spread values at the predicted lines over all lines, with NaN where nothing is predicted."""
         found = np.full((*values.shape[:-1], data.n_lines), np.nan)
         found[..., lines] = values
         return found
@@ -156,7 +156,7 @@ def _compare(
     amplitude: FloatArray,
     held: BoolArray,
 ) -> HeldOut:
-    """Return the comparison of the values marked in `held` (n_frfs, n_lines) with their prediction.
+    """Compare the FRF values marked in `held` (n_frfs, n_lines) with their prediction.
 
     Let z be the errors at a draw in standard deviations (real and imaginary parts), z̄ their mean over S draws,
     and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and
@@ -180,9 +180,9 @@ def _compare(
 
 
 def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return quantiles of amplitude and of phase in degrees, each (3, n_frfs, n_lines).
+    """Return quantiles of FRF amplitude, and of phase in degrees, each (3, n_frfs, n_lines).
 
-    Phases are taken within 180° of the phase of the median, so that they do not wrap.
+    Phases are taken within 180° of the median's phase, so that they do not wrap.
     """
     middle = np.median(frfs.real, axis=0) + 1j * np.median(frfs.imag, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -192,7 +192,7 @@ def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
 
 
 def frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
-    """Return the frequency response assurance criterion |Σ d H*|²/(Σ |d|² Σ |H|²) of each function, (n_frfs,).
+    """Return the frequency response assurance criterion |Σ d H*|²/(Σ |d|² Σ |H|²) of each FRF, (n_frfs,).
 
     Values (n_frfs, n_lines) that are 0 do not count; if all are 0, the criterion is NaN (Heylen & Lammens 1996).
     """

@@ -1,4 +1,4 @@
-"""Proposals for importance sampling of posteriors that differ in one mode: Gaussians and the prior."""
+"""Gaussians and the prior as importance-sampling proposals for posteriors that differ in one mode."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _GROUPS, _A_GROUP = 8, 20
 
 
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return quadratic models of log P at the maxima that may hold a significant part of the probability."""
+    """Return quadratic models of log P at all maxima that may hold a significant part of the probability."""
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
     return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
@@ -39,12 +39,12 @@ def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: 
 def gaussians(
     models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
 ) -> list[SequentialNormal]:
-    """Return the Gaussians of all quadratics at each temperature, truncated by the bounds."""
+    """Return each quadratic's Gaussian at each temperature, truncated at the bounds."""
     return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
 
 
 def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
-    """Return each quadratic model fitted to the draws around it; unchanged if there are too few draws.
+    """Fit each quadratic model to the draws around it; leave it unchanged if there are too few draws.
 
     The weights P^(1/4) also include the flanks of the peak, where most of the draws lie.
     """
@@ -67,19 +67,19 @@ class PriorCandidates:
     scaled: ScaledDensity
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws from the prior, scaled, shape (n, ndim)."""
+        """Return `n` draws from the prior in scaled coordinates, shape (n, ndim)."""
         return self.scaled.to_scaled(self.problem.sample_prior(rng, n))
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the log-density of the prior at scaled points u (n, ndim), shape (n,)."""
+        """Return the log-density of the prior, shape (n,), at scaled points u (n, ndim)."""
         log_prior = np.asarray(self.problem.log_prior(self.scaled.to_theta(u)))
         return log_prior + np.sum(np.log(self.scaled.scale))
 
 
 def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
-    """Return Gaussians fitted to groups of neighbouring draws (k-means), given weighted draws (n, ndim).
+    """Fit Gaussians to k-means groups of weighted draws u (n, ndim).
 
-    The result is empty if there are too few distinct draws for two groups.
+    The list is empty if there are too few distinct draws for two groups.
     """
     from scipy.cluster.vq import kmeans2
 

@@ -1,4 +1,4 @@
-"""Predictions of each measured mode from the other modes: by importance weights, or by updating without it."""
+"""Predict each measured mode from the other modes, by importance weights or by updating without it."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 GROUP = "leave_one_out"
-"""Group of a trace that stores the table."""
+"""Name of the trace group that stores the table."""
 REFIT, WEIGHTS, NOT_USED = "refit", "importance weights", "not used in updating"
 _ENOUGH, _SHARE, _FREE_S = 400, 0.5, 5.0
 _A_REFIT, _REFITS = 0.5, 3.0
-"""Longest time to refit one mode with unreliable weights, and all such modes, as multiples of `_FREE_S`."""
+"""Longest time to refit one mode with unreliable weights, and all of these modes, as multiples of `_FREE_S`."""
 _TIMED, _SEED = 64, 1
 _BEFORE_A_RUN = 24_000
-"""Largest number of solves of a refit, if a separate run follows in case it is unreliable."""
+"""Largest number of solves of a refit that a separate run can replace if it is unreliable."""
 
 
 @check_arguments
@@ -69,20 +69,20 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     """Compare each measured mode with its prediction from the other modes.
 
     A mode used in updating is predicted by the posterior without this mode. A mode that was not used is predicted
-    by the posterior itself. The posterior without a mode comes from updating without this mode
+    by the posterior itself. The posterior without a mode comes from updating without it
     (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k. `fmu.sample` does this and stores
     the table in the trace, unless it would take more than half the solves of the draws and more than about five
-    seconds. In that case the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto
-    k of the weights is low.
+    seconds. The draws are then reweighted instead (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto k of the
+    weights is low.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that was sampled. If given, the table is computed again, however long this takes. A mode for
-        which importance sampling gives no reliable prediction gets draws of its own. Without a problem, the
-        stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
-        hierarchical posterior, which has parameters for every test, is never refitted: its draws are weighted.
+        The problem that was sampled. If given, the table is computed again, however long this takes, and a mode
+        without a reliable prediction from importance sampling is predicted by a separate run. Without a problem,
+        the stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
+        hierarchical posterior, which has parameters for every test, is never refitted: its draws are reweighted.
 
     Returns
     -------
@@ -90,8 +90,8 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         One row per measured mode:
 
         - ``measured``: the measured frequency, Hz;
-        - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and ends of the 90 % interval of
-          the measurement predicted from the other modes, noise included, Hz;
+        - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and 90 % interval ends of the
+          measurement predicted from the other modes, noise included, Hz;
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
         - ``freedom``: degrees of freedom of its error, infinite unless a few tests gave the size of the error;
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz;
@@ -119,7 +119,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
 
 
 def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return the table of `leave_one_out` stored in a trace; None if there is none."""
+    """Return the `leave_one_out` table stored in a trace, or None if it stores none."""
     if not has(trace, GROUP):
         return None
     kept = trace[GROUP]
@@ -127,7 +127,7 @@ def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | None = None) -> xr.DataTree:
-    """Return the trace with the table of `leave_one_out` stored in it; unchanged if no mode can be left out.
+    """Return the trace with the `leave_one_out` table added; unchanged if no mode can be left out.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         Largest number of solves for updating without modes. For 400 or more draws of a model with derivatives, it
         defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Modes
         with unreliable weights are left out beyond this limit if one takes at most 2.5 seconds and all of them at
-        most 15. With ``inf``, every mode whose refit is unreliable gets draws of its own. A hierarchical
-        posterior has too many parameters for refits, and `most` has no effect.
+        most 15. With ``inf``, every mode whose refit is unreliable gets a separate run. A hierarchical posterior
+        has too many parameters for refits, and `most` has no effect.
     """
     import xarray as xr
 
@@ -187,10 +187,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 @dataclass
 class _Known:
-    """Cached results of a problem: for each mode the prediction and the limit of solves, and an approximation.
+    """Cached results for a problem: each mode's prediction and limit of solves, and an approximation.
 
     `is_gaussian` is False if the common candidates did not cover the posterior with all modes. If separate runs
-    are possible, the separate candidates of each mode, which are Gaussian too, are then not tried.
+    are possible, each mode's separate candidates, which are Gaussian too, are then not tried.
     """
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
@@ -206,11 +206,11 @@ def _known_of(problem: UpdatingProblem) -> _Known:
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return the predictions after updating without each mode, by index, within the limit of solves.
+    """Return the predictions after updating without each mode, by mode index, within the limit of solves.
 
-    All modes are first left out with the same candidates. Modes that these do not cover well are then left out
-    with separate candidates. For a funnel no Gaussians are good candidates, and nothing is returned. The results
-    are cached: they depend only on the problem and not on the draws, so that one computation serves all samplers.
+    All modes are first left out with a common set of candidates. Modes that these do not cover well get candidates
+    of their own. No Gaussians are good candidates for a funnel, so nothing is returned for it. The cached results
+    depend on the problem and not on the draws, so one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES and not is_in_funnel(problem):
@@ -233,9 +233,9 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: FloatArray) -> dict[int, HeldOut]:
-    """Return the predictions from draws without each mode, by index, as far as these are reliable.
+    """Return predictions from separate runs without each mode, by mode index; unreliable ones are left out.
 
-    They begin with draws of the posterior with all modes, (n, ndim), SI units.
+    The runs start from draws of the posterior with all modes, `near` (n, ndim), SI units.
     """
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
@@ -248,7 +248,7 @@ def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: 
 
 
 def _by_own_run(problem: UpdatingProblem, k: int, near: FloatArray) -> HeldOut | None:
-    """Return the prediction of mode `k` from draws without this mode; None if they are not reliable."""
+    """Return the prediction of mode `k` from a separate run without it, or None if the run is not reliable."""
     other = _without(problem, k)
     found = draws_without(other, near, _SEED)
     if found is None:
@@ -260,7 +260,7 @@ def _by_own_run(problem: UpdatingProblem, k: int, near: FloatArray) -> HeldOut |
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a warning about used modes that have neither reliable weights nor a reliable refit."""
+    """Return a warning, in a list, about used modes that have neither reliable weights nor a reliable refit."""
     table = kept_table(trace)
     if table is None:
         return []
@@ -285,14 +285,14 @@ def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOu
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws) -> HeldOut:
-    """Return the prediction of mode `k`, which was not used in updating, from the posterior."""
+    """Return the posterior's prediction of mode `k`, which was not used in updating."""
     log_p = _log_likelihood(with_mode(problem, k), draws) - _log_likelihood(problem, draws)
     row = _by_posterior(k, draws, log_p, trace["posterior"].sizes["chain"], walkers_of(trace))
     return row._replace(method=NOT_USED)
 
 
 def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
-    """Return the prediction of mode `k` from draws of a posterior without it, given its log-density there (n,)."""
+    """Predict mode `k` from draws of a posterior without it, given the mode's log-density at the draws, (n,)."""
     row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
@@ -316,7 +316,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Return the prediction of mode `k` from updating with and without this mode; cached if known well enough."""
+    """Predict mode `k` by updating with and without it; the result is cached if it is accurate enough."""
     known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]
@@ -335,7 +335,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
 
 
 def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
-    """Return the prediction of mode `k` from the posterior without this mode; unreliable numbers are NaN."""
+    """Return the table row of mode `k`, predicted by the posterior without it; unreliable numbers are NaN."""
     used = draws.problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
@@ -347,13 +347,12 @@ def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
 
 
 def _without(problem: UpdatingProblem, k: int) -> UpdatingProblem:
-    """Return the problem updated without mode `k`."""
     use = zip(problem.data.labels, problem.data.use, strict=True)
     return problem.using([label for i, (label, used) in enumerate(use) if used and i != k])
 
 
 def _log_likelihood(problem: UpdatingProblem, draws: Draws) -> FloatArray:
-    """Return the log-likelihood at the draws (n,), without new solves if the frequencies suffice."""
+    """Return the log-likelihood at the draws, (n,), without new solves if the frequencies suffice."""
     return np.asarray(problem.terms_of_frequencies(draws.theta, draws.hz).sum(axis=1))
 
 
@@ -362,10 +361,10 @@ def _generator(stream: int) -> np.random.Generator:
 
 
 def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
-    """Return the approximate time of a solve in seconds, from the matrix sizes; for a function, the measured time.
+    """Return the approximate time of a solve in seconds: measured for a function, otherwise from the matrix sizes.
 
-    Because the time of a structure is not measured, a repeated or resumed run has the same table, whatever the
-    load of the machine.
+    A structure's time is not measured, so a repeated or resumed run has the same table, whatever the load of the
+    machine.
     """
     structure = structure_of(problem.model)
     if structure is not None:
@@ -380,7 +379,7 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
 
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the table of `leave_one_out` from the log-likelihood at the draws, without a problem to refit."""
+    """Return the `leave_one_out` table from the log-likelihood at the draws, without a problem to refit."""
     smoothed = smooth_weights(trace)
     measured = trace["observed_data"]["frequency"].to_numpy()
     rows = []

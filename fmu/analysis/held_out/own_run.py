@@ -1,4 +1,4 @@
-"""Draws of the posterior without a mode where Gaussians are poor proposals: by fitted candidates, or by a run."""
+"""Draws of the posterior without a mode if Gaussians are poor proposals: by fitted candidates, or by a run."""
 
 from __future__ import annotations
 
@@ -30,17 +30,18 @@ if TYPE_CHECKING:
 _CHAINS, _WARMUP, _FIRST, _MOST = 4, 1000, 1000, 128_000
 """Number of chains, warm-up steps, steps before convergence is first judged, and largest number of steps."""
 _WALKERS, _CANDIDATES, _EFFECTIVE = 128, 16_000, 400.0
-"""Number of walkers, largest number of candidates, and number of effective draws that is enough."""
+"""Number of walkers, largest number of candidates, and ESS that is enough."""
 _STARTS, _OUTSIDE = 32, 1e-4
-"""Starts of the search for maxima that candidates miss, and probability of a Gaussian beyond its draws."""
+"""Number of starting points in the search for maxima that candidates miss, and probability of a Gaussian beyond
+its draws."""
 
 
 def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> FloatArray | None:
-    """Return draws of a posterior, (chains, n, ndim), SI units; None if they do not converge.
+    """Return draws of a posterior, (chains, n, ndim), SI units, or None if they do not converge.
 
-    The draws are resampled candidates if the weights of these are reliable (`_by_rounds`), else draws of a run.
-    The run has converged if R-hat and the effective sample sizes of all parameters meet the limits of
-    `fmu.diagnose`. Until then the number of draws is doubled, up to `_MOST` per chain.
+    They are resampled candidates if the candidates' weights are reliable (`_by_rounds`), otherwise draws of a run.
+    The run has converged if R-hat and ESS of all parameters meet the limits of `fmu.diagnose`. Until then the
+    number of draws is doubled, up to `_MOST` per chain.
 
     Parameters
     ----------
@@ -69,12 +70,12 @@ def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> Floa
 
 
 def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> FloatArray | None:
-    """Return independent draws of a posterior, (n, ndim), SI units; None if their weights are not reliable.
+    """Return independent draws of a posterior, (n, ndim), SI units, or None if their weights are not reliable.
 
     Walkers that start at draws with the mode spread over the posterior without it. Candidates come from a mixture
-    that is fitted to the walkers, and in rounds to the candidates, in logarithms of the parameters with log-normal
-    priors, in which a posterior is less skewed. They are resampled by weight, as many as are effective, if the
-    Pareto k of the weights is low.
+    that is fitted first to the walkers and then, in rounds, to the candidates. Parameters with log-normal priors
+    are replaced by their logarithms, in which a posterior is less skewed. If the Pareto k of the weights is low,
+    candidates are resampled by weight, as many as their ESS.
     """
     density = LogarithmicDensity(without)
     rounds, u = Rounds(Target(density)), density.to_scaled(near[rng.choice(len(near), _WALKERS)])
@@ -92,7 +93,7 @@ def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 
 
 def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -> bool:
-    """Return True if a maximum lies outside an ellipsoid around draws theta (n, ndim)."""
+    """Return True if a maximum lies outside the ellipsoid that would contain nearly all draws theta (n, ndim)."""
     from scipy.special import chdtri
 
     draws = scaled.to_scaled(theta)
@@ -102,7 +103,7 @@ def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -
 
 
 def is_in_funnel(problem: UpdatingProblem) -> bool:
-    """Return True if Gaussians around the maxima of a posterior are no use; see `are_in_funnel`."""
+    """Return True if Gaussians at the posterior's maxima are useless as proposals; see `are_in_funnel`."""
     has_discrepancy = problem.likelihood.has_discrepancy and is_searchable(problem)
     return has_discrepancy and are_in_funnel(problem, find_map(problem))
 

@@ -1,4 +1,4 @@
-"""Prediction of a measured mode from weighted draws of a posterior."""
+"""Prediction of a measured mode from weighted posterior draws."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NEITHER = ""
 
 
 class HeldOut(NamedTuple):
-    """One mode and its prediction from the other modes; the fields are columns of `leave_one_out`."""
+    """One mode and its prediction from the other modes; the fields are the columns of `leave_one_out`."""
 
     measured: float = np.nan
     mean: float = np.nan
@@ -40,7 +40,7 @@ class HeldOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of the parameters, and the frequencies at them.
+    """Draws of the parameters, with the computed frequencies.
 
     Attributes
     ----------
@@ -56,20 +56,20 @@ class Draws:
 
     @cached_property
     def _distinct(self) -> tuple[FloatArray, IntArray]:
-        """The distinct draws as parameters of the model, and for each draw its index among them."""
+        """Model parameters of the distinct draws, and each draw's index among them."""
         return distinct_rows(self.problem.layout.of_model(self.theta))
 
     @cached_property
     def _observed(self) -> ModalPrediction:
-        """The computed modes at the distinct draws, which every left-out mode needs if there is a discrepancy."""
+        """Computed modes at the distinct draws, which every left-out mode needs if there is a discrepancy."""
         return self.problem.likelihood.observed(self._distinct[0])
 
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
         """Return the predictive distribution of a measurement of mode `k`, given the used modes.
 
-        The distribution is a mixture over the draws of the distributions of the measurement. These are Gaussian,
-        or Student's if the measurement is the mean of tests whose scatter gives its error. The prediction is NaN
-        if the problem has no error model of frequencies.
+        It is the mixture, over the draws, of the distributions of the measurement. These are Gaussian, or
+        Student's if the measurement is the mean of tests whose scatter gives its error. The prediction is NaN if
+        the problem has no error model for frequencies.
         """
         from scipy.optimize import brentq
 
@@ -105,6 +105,6 @@ class Draws:
 
 
 def with_mode(problem: UpdatingProblem, k: int) -> UpdatingProblem:
-    """Return the problem updated with mode `k` in addition to the used modes."""
+    """Return the problem updated with mode `k` in addition to the modes already used."""
     use = zip(problem.data.labels, problem.data.use, strict=True)
     return problem.using([label for i, (label, used) in enumerate(use) if used or i == k])

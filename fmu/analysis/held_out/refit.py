@@ -1,6 +1,6 @@
-"""The posterior without a mode by importance sampling, and the predictive density of this mode's measurement.
+"""The posterior without a mode, by importance sampling, and the predictive density of that mode's measurement.
 
-The elpd of a mode is the log-density of its measurement given the other modes.
+A mode's elpd is the log-density of its measurement given the other modes.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _PILOT = 512
 _FITS = 2
 WIDER = (1.0, 2.0)
 _FIRST, _FIRST_IN_ALL = 128, 2560
-"""Draws from each proposal, and smallest number of draws from all, before the error is first estimated."""
+"""Draws from each proposal, and smallest total number of draws, before the error is first estimated."""
 _FAIR, _TELLING = 10_000, 3000
-"""Number of draws from which an acceptable error is not reduced further, and number from which one can predict
+"""Number of draws after which an acceptable error is not reduced further, and number after which one can predict
 whether more draws would suffice."""
 _LEAST = 6000
 """Smallest number of remaining solves for another round."""
@@ -51,17 +51,18 @@ _ROUNDS = (12_000, 12_000, 20_000, 20_000, 60_000)
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
 _SHARE, _COMPARED, _SLIGHT = 0.75, 128, 0.5
-"""Share of the basis for proposal chains; number of points at which log P is compared; largest change, nats."""
+"""Fraction of the reduced basis for proposal chains; number of points at which log P is compared; largest change
+allowed, nats."""
 
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """Gaussians that approximate a posterior as proposals for importance sampling, in scaled coordinates.
+    """Gaussians that approximate a posterior, as importance-sampling proposals in scaled coordinates.
 
     Attributes
     ----------
     quadratics : list of Quadratic
-        Quadratic models of the log-probability around each maximum that may matter.
+        Quadratic models of the log-probability at each maximum that may matter.
     groups : list of Quadratic
         Gaussians fitted to groups of neighbouring draws.
     """
@@ -72,7 +73,7 @@ class Approximation:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """The posterior without a mode, and the predictive density of this mode's measurement.
+    """The posterior without a mode, and the predictive density of that mode's measurement.
 
     Attributes
     ----------
@@ -81,8 +82,8 @@ class LeftOut:
     hz : ndarray, shape (n, n_modes)
         Computed frequencies at the draws, Hz.
     log_weights : ndarray, shape (2, n)
-        Logarithms of weights that sum to 1. The first row gives the posterior without the mode, the second row the
-        posterior with the mode.
+        Logarithms of weights that sum to 1: for the posterior without the mode in the first row, with it in the
+        second.
     elpd, error : float
         log p(y_k | y_-k) in nats, and its standard error.
     pareto_k : ndarray, shape (2,)
@@ -98,7 +99,7 @@ class LeftOut:
 
     @property
     def effective(self) -> float:
-        """Effective number of draws from the posterior without the mode (Kish)."""
+        """Kish's effective sample size of the draws for the posterior without the mode."""
         return effective_size(self.log_weights[0])
 
     @property
@@ -113,13 +114,13 @@ class LeftOut:
 
 
 def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> Approximation:
-    """Return an approximation of the posterior of a problem.
+    """Approximate the posterior of a problem by Gaussians.
 
     Each quadratic model first has the curvature at its maximum. It is then fitted twice by least squares to the
-    log-probability of draws, which is much more accurate if the posterior is skewed. If the weights of the draws
-    are still uneven, a bent ridge may lead to regions where no quadratic has any probability, and importance
-    weights do not reveal regions without draws. Short chains from some of the draws then follow the ridge, and
-    their draws form the groups.
+    log-probability of draws, which is much more accurate if the posterior is skewed. If the draws' weights are
+    still uneven, a curved ridge may lead to regions where no quadratic has any probability; importance weights do
+    not reveal regions without draws. Short chains from some of the draws then follow the ridge, and their draws
+    form the groups.
 
     Parameters
     ----------
@@ -148,9 +149,9 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
-    """Return the problem with `_SHARE` of the reduced basis, if this hardly changes log P at its highest points.
+    """Return the problem with `_SHARE` of its reduced basis, or unchanged if this would alter log P noticeably.
 
-    The chains of this problem only provide proposals, which need not be exact.
+    It serves only for chains whose draws become proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem
@@ -162,7 +163,7 @@ def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> Updat
 def _walk_chains(
     problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return draws of short chains (n, ndim), scaled, that start from some of the weighted draws (n, ndim)."""
+    """Return draws of short chains that start at some of the weighted draws; scaled, shape (n, ndim)."""
     scaled = ScaledDensity(problem)
     start = resample(rng, u, log_w, _WALKERS)
     seed = int(rng.integers(2**31))
@@ -180,15 +181,14 @@ def left_out(
 ) -> LeftOut:
     """Compare the posteriors without and with a mode by importance sampling.
 
-    log p(y_k | y_-k) = log Z - log Z_-k. Both evidences come from the same draws. These are drawn from a mixture
-    of the Gaussians around the maxima of both posteriors, of wider Gaussians and of the prior. If the two
-    posteriors hardly overlap, the measurement lies far out in the tail of its prediction, which draws of the
-    posterior without the mode do not reach by themselves. The number of draws is doubled until the standard error
-    is `ERROR`, or `ACCEPTED` if many draws would be needed.
+    log p(y_k | y_-k) = log Z - log Z_-k, and both evidences come from the same draws. The proposal is a mixture of
+    the Gaussians at the maxima of both posteriors, of wider Gaussians and of the prior. It therefore also covers a
+    measurement far out in the tail of its prediction, where the posteriors hardly overlap. The number of draws is
+    doubled until the standard error is `ERROR`, or `ACCEPTED` if many draws would be needed.
 
-    The weights may be unreliable, as for a posterior along a bent ridge, far from Gaussian. The quadratics are
-    then fitted again to all of these draws, and the draws are divided into groups of neighbours. New draws follow
-    from a mixture that includes the Gaussians of all groups, and replace the old draws.
+    The weights may be unreliable, as for a posterior along a curved ridge. The quadratics are then fitted again to
+    all draws, and the draws are divided into groups of neighbours. New draws from a mixture that includes the
+    groups' Gaussians replace the old draws.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _draw_until_enough(
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
-    """Return the comparison of both posteriors from as many draws as needed, and log P of both (2, n).
+    """Compare both posteriors with as many draws as needed; return the comparison, and log P of both, (2, n).
 
     At most `most` draws are made. The function stops early if even these would be too few, because a better
     mixture is then needed.
@@ -249,7 +249,7 @@ def _draw_until_enough(
 
 
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
-    """Return the log-probabilities of problems with one model, and its frequencies, (n, n_problems + n_modes).
+    """Return the log-probabilities of problems that share a model, and its frequencies, (n, n_problems + n_modes).
 
     Unless a pairing is soft, the model is solved once at each theta. The last problem must use all modes of the
     other problems.
@@ -268,9 +268,9 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
 
 
 def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
-    """Return the comparison of the posteriors without and with a mode, from draws of a density q.
+    """Compare the posteriors without and with a mode, using draws from a density q.
 
-    The log-probabilities `log_p` have the shape (2, n): without and with the mode.
+    The log-probabilities `log_p` have shape (2, n): without the mode, then with it.
     """
     log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)

@@ -1,8 +1,8 @@
 """The posteriors without each of several modes, from one set of draws.
 
-A solve gives all frequencies, and thus the log-probability of the posterior with all modes and of the posterior
-without any one of them. The same draws of one mixture are weighted for all posteriors, so that leaving out ten
-modes takes about as many solves as leaving out one.
+A solve gives all frequencies, and thus the log-probability both with all modes and without any one of them. The
+same draws from one mixture are weighted for all posteriors, so leaving out ten modes takes about as many solves as
+leaving out one.
 """
 
 from __future__ import annotations
@@ -42,13 +42,15 @@ if TYPE_CHECKING:
 _PILOT, _FITS = 2048, 2
 """Number of draws to which the Gaussians are fitted, and number of fits."""
 _FIRST, _FAIR, _MOST = 3072, 8192, 24_000
-"""Draws before the errors are first estimated, draws after which accepted errors suffice, and most draws."""
+"""Draws before the errors are first estimated, draws after which accepted errors suffice, and largest number of
+draws."""
 _ROUNDS = 3
 _EVEN = 0.25
-"""If a posterior has fewer effective draws than this share of its part of the draws, chains explore the rest."""
+"""Fraction of a posterior's draws below which their ESS is too small, so that chains explore the rest of the
+posterior."""
 _WALKERS, _STEPS, _FLAT, _JITTER = 48, 100, 0.25, 1e-4
 _OF_PRIOR = 0.25
-"""Ratio of the number of draws from the prior to the number of draws for each posterior."""
+"""Number of draws from the prior divided by the number of draws for each posterior."""
 
 
 def left_out_together(
@@ -56,12 +58,12 @@ def left_out_together(
 ) -> list[LeftOut]:
     """Compare posteriors that each lack one mode with the posterior of all modes, using the same draws.
 
-    Each posterior has a Gaussian around each of its maxima, fitted to the log-probability of draws from all
-    posteriors (`fmu.analysis.held_out.candidates`). If these Gaussians do not cover a posterior well, as along a
-    bent ridge, short chains explore the rest, and Gaussians fitted to groups of their draws are added. The
-    comparisons then use draws from the mixture of all Gaussians, of wider Gaussians and of the prior. If the
-    weights of a posterior are unreliable, its chains are continued. If they are still unreliable, the result
-    shows this (`LeftOut.predicts`, `LeftOut.is_known`).
+    Each posterior has a Gaussian at each of its maxima, fitted to the log-probability of draws from all posteriors
+    (`fmu.analysis.held_out.candidates`). If these Gaussians do not cover a posterior well, as along a curved
+    ridge, short chains explore the rest, and Gaussians fitted to groups of their draws are added. The comparisons
+    then use draws from the mixture of all Gaussians, of wider Gaussians and of the prior. If a posterior's weights
+    are unreliable, its chains are continued. If they are still unreliable, the result shows it
+    (`LeftOut.predicts`, `LeftOut.is_known`).
 
     Parameters
     ----------
@@ -101,10 +103,10 @@ def left_out_together(
 def _first_models(
     problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
 ) -> tuple[list[list[Quadratic]], dict[int, FloatArray], UpdatingProblem]:
-    """Return quadratics fitted to each posterior, and starting points of chains in poorly covered posteriors.
+    """Return quadratics fitted to each posterior, and starting points for chains in poorly covered posteriors.
 
-    The maxima of the last posterior are additional starting points in the search for the maxima of the others. The
-    third result is the last problem, with a part of the reduced basis if this suffices for chains.
+    The last posterior's maxima are additional starting points in the search for the other posteriors' maxima. The
+    third result is the last problem, with only part of the reduced basis if this suffices for chains.
     """
     n, whole = len(problems), problems[-1]
     models = [quadratics_at_maxima(whole, scaled, whole.start[None])]
@@ -124,7 +126,7 @@ def _first_models(
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return draws with flattened weights, (_WALKERS, ndim), because too few draws may have high weights."""
+    """Resample draws with flattened weights, (_WALKERS, ndim), because too few draws may have high weights."""
     return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 
@@ -134,11 +136,11 @@ def _walk(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
-    """Return draws of short chains in some of the posteriors, by index, each (n, ndim), scaled.
+    """Return the draws of short chains in some of the posteriors, by posterior index, each (n, ndim), scaled.
 
     The chains use differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the
     difference of two other walkers, so that the walkers spread along a ridge. The walkers of all posteriors move
-    in lockstep, and one batch of solves serves all of them. The last draws are the final positions of the walkers.
+    in lockstep, and one batch of solves serves all of them. The last draws are the walkers' final positions.
     """
     if not walkers:
         return {}
@@ -164,13 +166,13 @@ def walk(
     Parameters
     ----------
     log_prob : callable
-        Returns the log-densities, (n,), at points (n, ndim).
+        Returns log-densities (n,) at points (n, ndim).
     x : ndarray, shape (n, ndim)
-        The starts.
+        Starting points.
     bounds : pair of ndarray, shape (ndim,)
     rng : Generator
     walkers : int
-        Number of successive walkers that form an ensemble of their own.
+        Number of successive walkers that form a separate ensemble.
     """
     (lower, upper), t = bounds, np.arange(len(x))
     log_p = log_prob(x)
@@ -193,13 +195,13 @@ def walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A mixture with the same weight for each posterior, shared equally by its Gaussians; the prior has less."""
+    """A mixture with equal weight for each posterior, shared equally by its Gaussians; the prior has less."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal
 
     def draws(self, rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-        """Return about `n` draws, shape (n, ndim), and the log-density of the mixture at the draws."""
+        """Return about `n` draws, shape (n, ndim), and the mixture's log-density at the draws."""
         share = n / (len(self.parts) + _OF_PRIOR)
         counted = [(proposal, -int(-share // len(part))) for part in self.parts for proposal in part]
         counted.append((self.prior, -int(-share * _OF_PRIOR // 1)))
@@ -214,7 +216,7 @@ def _draws(
     rng: np.random.Generator,
     n: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return about `n` draws of a mixture, its log-density, and log P of all problems with the frequencies."""
+    """Return about `n` draws from a mixture, its log-density, and log P of all problems with the frequencies."""
     u, log_q = mixture.draws(rng, n)
     solved = by_parts("importance sampling", lambda v: log_prob_of_all(problems, scaled.to_theta(v)), u)
     return u, log_q, np.concatenate(solved)
@@ -227,7 +229,7 @@ def _weigh_candidates(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
-    """Return draws of a mixture, log P of all problems, and comparisons of the `wanted` ones with the last."""
+    """Return draws from a mixture, log P of all problems, and comparisons of the `wanted` ones with the last."""
     n = len(problems)
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
     while True:

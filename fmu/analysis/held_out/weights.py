@@ -1,4 +1,4 @@
-"""Importance weights of the draws for the posterior without a mode (PSIS)."""
+"""Importance weights that turn the draws into draws of the posterior without a mode (PSIS)."""
 
 from __future__ import annotations
 

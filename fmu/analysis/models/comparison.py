@@ -1,4 +1,4 @@
-"""Comparison of models of the same data, by evidence and by their predictions of each mode from the others."""
+"""Comparison of models of the same data, by evidence and by predicting each mode from the others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CLEAR = 2.0
-"""A difference is called clear if it exceeds this number of standard errors."""
+"""Number of standard errors beyond which a difference is called clear."""
 NO_ESTIMATE = 'no sampler with an estimate of the evidence has drawn from it: sample with "mixture" or "tempering"'
 _HEADINGS = {
     "log_evidence": "log-evidence",
@@ -47,7 +47,7 @@ _HEADINGS = {
 
 @dataclass(frozen=True, eq=False)
 class ModelComparison:
-    """Models of the same data, side by side.
+    """Several models of the same data, compared side by side.
 
     Attributes
     ----------
@@ -61,12 +61,12 @@ class ModelComparison:
     sentences: tuple[str, ...]
 
     def rows(self) -> list[list[str]]:
-        """Return the cells of the table as text, one list per model; see `headings`."""
+        """Return the table cells as text, one list per model, in the order of `headings`."""
         return [[str(name), *_cells(row)] for name, row in self.table.iterrows()]
 
     @property
     def headings(self) -> list[str]:
-        """The headings of the columns of `rows`."""
+        """Column headings of `rows`."""
         return ["model", *_HEADINGS.values()]
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class ModelComparison:
 
 
 def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
-    """Compare models by one trace of each model; see `fmu.compare_models`."""
+    """Compare models, given one trace per model; see `fmu.compare_models`."""
     if len(traces) < 2:
         raise ArgumentError("models", "must be two or more", len(traces))
     for name, trace in traces.items():
@@ -161,9 +161,9 @@ def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[
 
 
 def common_modes(traces: Mapping[str, xr.DataTree]) -> dict[str, pd.DataFrame]:
-    """Return the rows of `fmu.leave_one_out` for the modes that all models predict, by the name of the model.
+    """Return the `fmu.leave_one_out` rows of the modes that all models predict, by model name.
 
-    Models without such a table are left out.
+    Models without this table are left out.
     """
     tables = {name: kept_table(trace) for name, trace in traces.items()}
     known = {name: table for name, table in tables.items() if table is not None}
@@ -272,7 +272,7 @@ def _of_evidences(table: pd.DataFrame) -> list[str]:
 
 
 def _times(log_ratio: float) -> str:
-    """Return a ratio of probabilities as ``"16 000 times"``, or as a power of ten."""
+    """Format a probability ratio, given its logarithm, as ``"16 000 times"`` or as a power of ten."""
     if log_ratio < np.log(1e6):
         ratio = np.exp(log_ratio)
         rounded = round(ratio, 1 - int(np.floor(np.log10(ratio))))

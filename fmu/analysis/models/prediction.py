@@ -1,4 +1,4 @@
-"""Frequencies of unmeasured modes, or of a modified structure, with the error of the model."""
+"""Frequencies of unmeasured modes, or of a modified structure, including the model discrepancy."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def predict_modes(
     draws: Count = 400,
     seed: Seed = 1,
 ) -> pd.DataFrame:
-    """Predict the lowest frequencies of a structure, measured or not, as it is or modified.
+    """Predict the lowest frequencies of a structure, measured or not, either as it is or modified.
 
-    The model is solved at draws of the posterior. With a discrepancy each mode has its own error, like a mode
-    that was not measured. Its parameters scatter by τ (kind "embedded"), or its frequency has an error σ, whose
-    part common to all modes is known as far as the data determine it (kind "modes"). `fmu.predict_frequencies`
-    gives better predictions of the measured modes of an unmodified structure.
+    The model is solved at posterior draws. With a discrepancy each mode has its own error, as an unmeasured mode
+    would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error σ, whose part common to all
+    modes is known as far as the data determine it (kind "modes"). `fmu.predict_frequencies` gives better
+    predictions of the measured modes of an unmodified structure.
 
     Parameters
     ----------
@@ -57,23 +57,24 @@ def predict_modes(
     factors : mapping of str to float, optional
         Factors on parameters, by name: 0.8 for a stiffness that has lost 20 %.
     test : str, optional
-        Name of the test whose parameters the structure has, if there are several: the damaged state, for example.
+        If there are several tests, the name of the one whose parameters the structure has, such as the damaged
+        state.
     draws : int
-        Largest number of draws that are used, evenly spaced over the trace. Each takes a solve of the full model.
+        Largest number of draws used, evenly spaced over the trace. Each takes a solve of the full model.
     seed : int
 
     Returns
     -------
     pandas.DataFrame
-        One row per mode, Hz: ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` of the frequency, including the error
-        of the model, and ``model_sd``, ``model_eti90_lb`` and ``model_eti90_ub`` without it. Measurement noise is
+        One row per mode, Hz: ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` of the frequency, including model
+        discrepancy, and ``model_sd``, ``model_eti90_lb`` and ``model_eti90_ub`` without it. Measurement noise is
         not included.
 
     Raises
     ------
     ValueError
-        If the trace is not of the problem, the model has no matrices or fewer modes, or a parameter, place or test
-        does not exist.
+        If the trace does not belong to the problem, the model has no matrices or fewer modes, or a parameter,
+        place or test does not exist.
     """
     check_trace(trace)
     if parameter_names(trace) != problem.names:
@@ -96,7 +97,7 @@ def predict_modes(
 
 
 def _index_of(problem: UpdatingProblem, test: str | None) -> int:
-    """Return the index of a test, 0 for the only test if `test` is None. Raise ValueError if it does not exist."""
+    """Return the index of a test, which may be None if there is only one. Raise ValueError for an unknown test."""
     names = [one.name for one in problem.tests]
     if test is None and len(names) == 1:
         return 0
@@ -138,7 +139,7 @@ def _with_errors(
     J: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return the frequencies (n, m) with random errors, as for modes that were not measured."""
+    """Add random model errors to the frequencies f (n, m), as for modes that were not measured."""
     at = problem.layout.of_model(theta)
     noise = theta[:, problem.n_structural :]
     of_modes = np.broadcast_to(values[:, None], (*f.shape, values.shape[1]))

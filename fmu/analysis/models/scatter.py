@@ -1,4 +1,4 @@
-"""The scatter of a wrong model's parameters: which parts cause the misfit, and what allowing for it changes."""
+"""Scatter of a wrong model's parameters: which of them cause the misfit, and what allowing for scatter changes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 NEEDED, NOT_NEEDED = 0.95, 0.25
-"""A group is said to need a scatter if the probability of τ > 0 is at least the first value, and not to need it
-if it is at most the second. This probability is about the ratio of posterior to prior width, or larger."""
+"""A group needs a scatter if the probability of τ > 0 is at least the first value, and does not need it if it is
+at most the second. This probability is about the ratio of posterior to prior width, or larger."""
 
 
 class Scatter(NamedTuple):
-    """The inferred scatter τ of a group of parameters over the modes; relative, or in units of the starting value.
+    """Inferred scatter τ of a group of parameters between modes; relative, or in units of the starting value.
 
     Attributes
     ----------
@@ -33,12 +33,13 @@ class Scatter(NamedTuple):
     parameters : tuple of str
         The parameters that scatter.
     low, median, high : float
-        The 5 %, 50 % and 95 % quantiles of the posterior of τ.
+        5 %, 50 % and 95 % quantiles of the posterior of τ.
     prior_median : float
     needed : float
         Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`).
     largest : float
-        Probability that this τ is the largest in standard deviations of its prior; NaN if there is only one.
+        Probability that this τ is the largest, each measured in its prior standard deviations; NaN if it is the
+        only one.
     """
 
     name: str
@@ -77,11 +78,11 @@ def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
 def needed_probability(draws: FloatArray, prior_sd: float) -> float:
     """Return the probability of τ > 0 rather than τ = 0, if both were equally probable before the test.
 
-    The Bayes factor is the Savage–Dickey ratio (Dickey 1971, *Ann. Math. Stat.* 42, 204–223) of the posterior and
-    prior density at τ = 0. The likelihood depends on τ², so that both densities are even functions of τ; the
-    posterior density is a Gaussian kernel estimate from the draws and their mirror images. If no draw is near 0,
-    one more effective draw is assumed between 0 and the smallest draw, so that the probability is not overstated.
-    The result is NaN if the effective sample size is undefined.
+    The Bayes factor is the Savage–Dickey ratio (Dickey 1971, *Ann. Math. Stat.* 42, 204–223) of posterior to prior
+    density at τ = 0. The likelihood depends on τ², so both densities are even functions of τ; the posterior
+    density is a Gaussian kernel estimate from the draws and their mirror images. If no draw is near 0, one more
+    effective draw is assumed between 0 and the smallest draw, so that the probability is not overstated. The
+    result is NaN if the ESS is undefined.
 
     Parameters
     ----------
@@ -101,14 +102,14 @@ def needed_probability(draws: FloatArray, prior_sd: float) -> float:
 
 
 def scatter_table(found: tuple[Scatter, ...]) -> pd.DataFrame:
-    """Return the scatters as a table, one row per τ; see `Scatter` for the columns."""
+    """Return a table of the scatters, one row per τ; for the columns see `Scatter`."""
     rows = [one._asdict() | {"parameters": ", ".join(one.parameters)} for one in found]
     table = data_frame(rows, "tau", [one.name for one in found])
     return table.drop(columns="name")
 
 
 def scatter_words(found: tuple[Scatter, ...]) -> list[str]:
-    """Return sentences on which groups of parameters need a scatter, and on which of them cause the misfit."""
+    """Return sentences on which groups of parameters need a scatter, and which of them cause the misfit."""
     if not found:
         return []
     said = [_of_one(one) for one in found]
@@ -146,7 +147,7 @@ def _of_one(one: Scatter) -> str:
 
 
 def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.DataFrame:
-    """Return the widths of 90 % intervals relative to the intervals of a reference model.
+    """Return the widths of 90 % intervals relative to a reference model's.
 
     Returns
     -------
@@ -167,7 +168,7 @@ def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.Dat
 
 
 def ratio_words(ratios: pd.DataFrame, reference: str) -> list[str]:
-    """Return a sentence for each model on how much wider its intervals are."""
+    """Return one sentence per model on how much wider its intervals are than the reference model's."""
     said = []
     for name in map(str, ratios.columns):
         known = ratios[name].dropna()
