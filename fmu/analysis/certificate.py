@@ -1,4 +1,4 @@
-"""The certificate of a run: bounds of the reduced model's error at the draws, confirmed by some full solves."""
+"""Bounds on a reduced model's error at the draws of a run, confirmed by some full solves (the certificate)."""
 
 from __future__ import annotations
 
@@ -27,22 +27,21 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 16  # draws
 _MOST_BY_FULL = 0.03
-"""Largest share of the draws at which the full model may replace the reduced model without a warning."""
+"""Largest fraction of the draws at which the full model may replace the reduced model without a warning."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """The number of draws at which a certificate bounds and confirms errors.
+    """How many draws a certificate examines: where it bounds the error, and where it solves the full model.
 
     Attributes
     ----------
     work : int
-        Largest product of the number of degrees of freedom and the number of draws at which the bound is
-        evaluated.
+        Largest number of degrees of freedom times draws at which the bound is evaluated.
     fewest, most : int
         Smallest and largest number of these draws.
     each : int
-        One in this many of these draws is solved with the full model.
+        One in `each` of these draws is solved with the full model.
     solved, solved_of_large : int
         Smallest number of full solves for small structures, and for those with at least `large` degrees of
         freedom.
@@ -51,7 +50,7 @@ class Effort:
     large : int
         Number of degrees of freedom from which a structure counts as large.
     rounding : float
-        Share of the tolerance by which the error may exceed the bound, to allow for rounding in the full model.
+        Fraction of the tolerance by which the error may exceed the bound, to allow for rounding in the full model.
     """
 
     work: int = 150_000
@@ -69,19 +68,18 @@ USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
-    """A warning that the error of the reduced model exceeds its tolerance or its bound at retained draws."""
+    """Warns that the reduced model's error exceeds its tolerance or its bound at retained draws."""
 
 
 def certify(
     trace: xr.DataTree, problem: object, full_solves: int = 0, effort: Effort | None = None
 ) -> Certificate | None:
-    """Bound the error of the reduced model at retained draws, and solve some of them with the full model.
+    """Bound the reduced model's error at retained draws, and solve the full model at some of them.
 
-    The errors of the frequencies are bounded by their residuals (`fmu.fem.reduced.residuals`). The draws are
-    chosen at random by the seed of the trace: up to 512 for small structures, fewer for larger structures or
-    several tests. One in twelve of these draws, including the four with the largest bounds, is solved with the
-    full model (`fmu.fem.reduced.confirming`). At least 16 draws are solved, or 8 if the structure has 20 000
-    degrees of freedom or more.
+    Residuals bound the frequency errors (`fmu.fem.reduced.residuals`). The draws are chosen at random with the
+    trace's seed: up to 512 for small structures, fewer for larger structures or several tests. One in twelve of
+    them, including the four with the largest bounds, is solved with the full model (`fmu.fem.reduced.confirming`).
+    At least 16 draws are solved, or 8 if the structure has 20 000 degrees of freedom or more.
 
     Parameters
     ----------
@@ -96,8 +94,7 @@ def certify(
     Returns
     -------
     Certificate or None
-        None without a reduced model or a surrogate. The certificate of a surrogate was made when the surrogate was
-        built.
+        None without a reduced model or a surrogate. A surrogate's certificate is the one made when it was built.
 
     Warns
     -----
@@ -174,7 +171,7 @@ def certify(
 def _terms_of_both(
     problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the log-likelihood of each mode at `theta` (n, ndim), by the full model and by the reduced model."""
+    """Return each mode's log-likelihood at theta (n, ndim), by the full model and by the reduced model."""
     likelihood = problem.likelihood
     of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)
     if likelihood.by_frequencies:
@@ -208,14 +205,14 @@ def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
 
 
 def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return the bounds of the frequency errors, (n, n_modes); zero where the full model is used."""
+    """Return bounds on the frequency errors, (n, n_modes); zero where the full model is used."""
     bound = structure.frequency_bound(points)
     bound[~structure.within(points)] = 0.0
     return np.asarray(bound)
 
 
 def _is_outside(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return 1 for points outside the trained box, where the full model is used, else 0, shape (n, n_modes)."""
+    """Return 1 for points outside the trained box, where the full model is used, otherwise 0; (n, n_modes)."""
     outside = ~structure.within(points[:, : structure.n_parameters])
     return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
 
@@ -237,5 +234,5 @@ def _by_reduced(structure: ReducedStructure, points: FloatArray) -> FloatArray:
 
 
 def _stack_modes(modes: ModalSolution) -> FloatArray:
-    """Return eigenvalue, block and rank of each mode, (n, n_modes, 3)."""
+    """Return each mode's eigenvalue, block and rank, shape (n, n_modes, 3)."""
     return np.stack([modes.eigenvalues, modes.block, modes.rank], axis=2)

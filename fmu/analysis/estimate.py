@@ -1,4 +1,4 @@
-"""Estimates of the cost of a run, in solves and in seconds, and of the cost of a gradient."""
+"""Estimates of a run's cost, in solves and in seconds, and of the cost of a gradient."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 
 class Estimate(NamedTuple):
-    """Estimated cost of a part of a run: its name, solves, seconds, and the limit of solves if it has one."""
+    """Estimated cost of one part of a run: its name, solves, seconds, and its limit of solves, if any."""
 
     name: str
     solves: float
@@ -42,9 +42,9 @@ class Estimate(NamedTuple):
 
 
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
-    """Return the estimated cost of each sampler, and of each other part of a run that takes over a second.
+    """Estimate the cost of each sampler, and of each other part of a run that takes over a second.
 
-    The list is empty if the whole run takes less than a minute. Then progress bars suffice, and a busy machine
+    The list is empty if the whole run takes less than a minute. Progress bars then suffice, and a busy machine
     would make the estimates wrong.
 
     Parameters
@@ -55,7 +55,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. Without
         ``draws``, each sampler is estimated up to the first verdict.
     starts : int
-        Number of optimiser starts in the search for maxima.
+        Number of starting points in the search for maxima.
     workers : int
         Number of processes that share the work.
     """
@@ -102,9 +102,9 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
 
 
 def estimates_in_words(parts: list[Estimate]) -> str:
-    """Return the estimates in one line: ``hmc: about 36 000 solves, 12 min (at most 2 000 000 solves)``.
+    """Format the estimates in one line: ``hmc: about 36 000 solves, 12 min (at most 2 000 000 solves)``.
 
-    The time for the largest number of solves is not stated, because it is not an estimate of the time of the run.
+    The time for the largest number of solves is not stated, because it is not an estimate of the run's time.
     """
     found = []
     for name, solves, seconds, most in parts:
@@ -116,15 +116,15 @@ def estimates_in_words(parts: list[Estimate]) -> str:
 def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
     """Return the time of a gradient divided by the time of a log-probability.
 
-    Each time is the shortest of at least five measurements, which alternate between the two: other work on the
-    machine never makes a measurement shorter.
+    Each time is the shortest of at least five measurements, which alternate between the two. Other work on the
+    machine can only lengthen a measurement.
 
     Parameters
     ----------
     density : LogDensity
         A density with exact gradients.
     theta : ndarray, shape (n, ndim)
-        Points of the evaluation, in one batch; only the first 16 are used.
+        Points evaluated in one batch; only the first 16 are used.
     """
     theta = theta[:_AT_ONCE]
     took: list[tuple[float, float]] = []
@@ -160,7 +160,7 @@ def _time_call(work: Callable[[], object]) -> float:
 def _seconds_in_a_sampler(
     problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any], warmup: int, draws: int
 ) -> float:
-    """Return the seconds per solve in the first steps of a sampler, including the sampler's own work."""
+    """Return the seconds per solve in a sampler's first steps, including the sampler's own work."""
     from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, GroupState, RunContext, advance
     from fmu.samplers.loop.run import n_groups
 
@@ -182,13 +182,13 @@ def _seconds_in_a_sampler(
 
 
 def _round_number(number: float) -> str:
-    """Return a number rounded to two digits, with thousands separated."""
+    """Format a number rounded to two digits, with separated thousands."""
     digits = len(str(int(number))) - 2
     return whole(round(number, -max(digits, 0)))
 
 
 def time_in_words(seconds: float) -> str:
-    """Return a time rounded to two digits, with its unit: ``"12 min"``."""
+    """Format a time in seconds, rounded to two digits, with its unit: ``"12 min"``."""
     if seconds < 1.0:
         return "under 1 s"
     for size, unit in ((3600.0, "h"), (60.0, "min")):

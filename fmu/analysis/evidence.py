@@ -1,4 +1,4 @@
-"""The evidence of a model, its standard error and the method of its estimation."""
+"""The evidence of a model, its standard error, and how it was estimated."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 
 GROUP = "tempering"
-"""Group of a trace that stores the log-likelihoods and swaps at the rungs of a temperature ladder."""
+"""Name of the trace group that stores log-likelihoods and swaps at the rungs of a temperature ladder."""
 METHODS = ("stepping-stone", "thermodynamic")
 OF_MIXTURE = ("importance", "bridge")
 FEWEST_CANDIDATES = 100
 """Smallest number of candidates from which the tail of their weights is estimated."""
 RHAT_LIMIT = 1.05
-"""If R-hat of the log-likelihood at a rung reaches this limit, the evidence is unreliable."""
+"""R-hat of the log-likelihood at a rung from which the evidence is unreliable."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,18 @@ class Evidence:
     """The logarithm of the evidence ∫ P(D|θ) P(θ) dθ.
 
     The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior is
-    normalised within the bounds, so that evidences of different models of the same data can be compared.
+    normalised within the bounds. Evidences of different models of the same data can therefore be compared.
 
     Attributes
     ----------
     log_evidence : float
         Natural logarithm of the evidence.
     error : float
-        Standard error of `log_evidence`, the larger of `within` and `between`. It does not include modes that no
-        replica has found: see `warnings`.
+        Standard error of `log_evidence`, the larger of `within` and `between`. It does not cover modes that no
+        replica has found; see `warnings`.
     method : {"stepping-stone", "thermodynamic", "importance", "bridge"}
     within : float
-        Standard error from the autocorrelation along the chains, over all rungs together. For the candidates of a
+        Standard error from the autocorrelation along the chains, over all rungs together. For candidates of a
         mixture, which are independent, it follows from the spread of their weights.
     between : float
         Standard error from the spread of the chains' separate estimates; NaN for a single chain.
@@ -67,10 +67,10 @@ class Evidence:
         with the next rung; and ``log_ratio``, the logarithm of the evidence at the next rung over that at this
         one.
     pareto_k : float
-        Pareto shape parameter of the tail of the candidates' weights; NaN for tempering.
+        Pareto shape parameter of the candidates' weights; NaN for tempering.
     doubts : tuple of str
         Warnings about regions that the estimate may miss, because a mixture covers only what its chains visited;
-        else empty.
+        otherwise empty.
     """
 
     log_evidence: float
@@ -118,7 +118,7 @@ class Evidence:
 
 @check_arguments
 def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
-    """Estimate the evidence from a run of parallel tempering, or of a sampler with candidates from a mixture.
+    """Estimate the evidence from a run of parallel tempering, or of a sampler with mixture candidates.
 
     Parameters
     ----------
@@ -126,12 +126,12 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
         A trace of `fmu.sample(problem, "tempering")`, of `fmu.sample(problem, "mixture")`, or of a sampler with
         ``jumps=True``.
     method : {"stepping-stone", "thermodynamic", "importance", "bridge"}, optional
-        For tempering, the default "stepping-stone" is the product of the ratios of evidences from rung to rung,
-        each an average over the lower rung (Xie et al. 2011). "thermodynamic" is the integral of the mean
-        log-likelihood over the inverse temperature, by the trapezium rule with its second-order correction (Friel,
-        Hurn & Wyse 2014); the standard error does not include the error of this rule. For a mixture, the default
-        "importance" is the mean weight P/q of all candidates. "bridge" is the optimal bridge between candidates
-        and draws (Meng & Wong 1996).
+        For tempering, the default "stepping-stone" is the product of the evidence ratios from rung to rung, each
+        averaged over the lower rung (Xie et al. 2011). "thermodynamic" is the integral of the mean log-likelihood
+        over the inverse temperature, by the trapezium rule with its second-order correction (Friel, Hurn & Wyse
+        2014); the standard error does not include the error of this rule. For a mixture, the default "importance"
+        is the mean weight P/q of all candidates. "bridge" is the optimal bridge between candidates and draws (Meng
+        & Wong 1996).
 
     Returns
     -------
@@ -168,14 +168,14 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
 
 
 def has_candidates(trace: xr.DataTree) -> bool:
-    """Return True if a trace has the weights of at least `FEWEST_CANDIDATES` candidates of a mixture."""
+    """Return True if a trace has the weights of at least `FEWEST_CANDIDATES` mixture candidates."""
     if not has(trace, "sample_stats") or CANDIDATE not in trace["sample_stats"]:
         return False
     return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE)))) >= FEWEST_CANDIDATES
 
 
 def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
-    """Return the evidence estimated from the log-weights log P − log q of the candidates and of the draws."""
+    """Estimate the evidence from the log-weights log P − log q of the candidates and of the draws."""
     of_candidates, of_draws = (array_of(trace, "sample_stats", name) for name in (CANDIDATE, LOG_WEIGHT))
     jumped = ~np.isnan(of_candidates[0])  # all chains jump at the same steps
     candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
@@ -240,7 +240,7 @@ WHAT = (
 
 @dataclass(frozen=True)
 class FoundEvidence:
-    """A log-evidence and the method of its estimation.
+    """A log-evidence and how it was estimated.
 
     Attributes
     ----------
@@ -274,7 +274,7 @@ class FoundEvidence:
 def found_evidences(
     traces: Mapping[str, xr.DataTree], verdicts: Mapping[str, Diagnosis], maxima: Maxima | None
 ) -> list[FoundEvidence]:
-    """Return the evidences from parallel tempering, from candidates of a mixture and from masses of the maxima.
+    """Return the evidence estimates from parallel tempering, from mixture candidates and from the maxima's masses.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def found_evidences(
     -------
     list of FoundEvidence
         Empty for a pseudo-likelihood, and if there are neither maxima, nor a run of parallel tempering, nor a run
-        with candidates of a mixture. An estimate that disagrees with a reliable one is marked as unreliable.
+        with mixture candidates. An estimate that disagrees with a reliable one is marked as unreliable.
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
@@ -318,7 +318,7 @@ def _of_run(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> F
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
-    """Return the sum of the masses of the maxima, with the reasons why it may be unreliable."""
+    """Return the total mass of the maxima as an evidence, with the reasons why it may be unreliable."""
     fewest = maxima.effective_draws
     at = "at the maximum" if len(maxima) == 1 else f"at {len(maxima)} maxima"
     doubts = []
@@ -338,7 +338,7 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
 
 
 def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
-    """Return the evidences; each one that disagrees with a reliable one has this as an additional doubt."""
+    """Add a doubt to each evidence that disagrees with a reliable one."""
     reliable = [one for one in found if not one.doubts]
     compared = []
     for one in found:

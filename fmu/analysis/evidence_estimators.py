@@ -1,4 +1,4 @@
-"""Estimators of the evidence from the rungs of a temperature ladder and from candidates of a mixture."""
+"""Estimators of the evidence from the rungs of a temperature ladder and from mixture candidates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _Estimate(NamedTuple):
-    """An estimate from log-likelihoods (chains, draws, rungs), and each draw's influence on it (chains, draws)."""
+    """An estimate of log-evidence from a ladder of rungs, and each draw's influence on it, (chains, draws)."""
 
     value: float
     influence: FloatArray
@@ -33,10 +33,10 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 
 
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
-    """Return log-evidence and its standard error by the optimal bridge (Meng & Wong 1996).
+    """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
 
-    The standard error follows Frühwirth-Schnatter (2004). In its formula, the number of posterior draws is
-    replaced by the effective sample size of their contributions, but at most `ratio` times their number.
+    The standard error follows Frühwirth-Schnatter (2004), with one change: the number of posterior draws is
+    replaced by the ESS of their contributions, but at most by `ratio` times their number.
 
     Parameters
     ----------
@@ -62,7 +62,10 @@ def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]
 
 
 def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)], that is Σ_k log(Z_{k+1}/Z_k) (Xie et al. 2011)."""
+    """Return the stepping-stone estimate Σ_k log E_k[exp((t_{k+1} − t_k) l)] of log Z (Xie et al. 2011).
+
+    Each term estimates log(Z_{k+1}/Z_k) at inverse temperature t_k from log-likelihoods l.
+    """
     log_weight, log_ratio = stones(draws, t)
     # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
     return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
@@ -85,7 +88,7 @@ def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
     g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
     that the first three rungs are evenly spaced in s. If the model fails in part of the prior, the mean at t = 0
-    is taken over the rest, and the logarithm of the share of the rest is added to the integral.
+    is taken over the rest, and the logarithm of that fraction of the prior is added to the integral.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))

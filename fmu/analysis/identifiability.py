@@ -1,4 +1,4 @@
-"""Directions of the parameter space that the measured modes constrain, by the model linearised at a point."""
+"""Directions in parameter space that the measured modes constrain, with the model linearised at a point."""
 
 from __future__ import annotations
 
@@ -32,20 +32,21 @@ if TYPE_CHECKING:
 
 
 GROUP = "identifiability"
-"""Group of a trace that stores the identifiability."""
+"""Name of the trace group that stores the identifiability."""
 INFORMED = 1.0
 """Singular value above which the data constrain a direction more than the prior does."""
 _INTEGRATED = ("score", "effect", "covariate")
 _OMITTED = ("sd", "correlation", "correlation time", "share", "date", "kink")
-"""Kinds of parameters (`fmu.posterior.joint.varies.base.Role`) that are integrated out, and that are omitted."""
+"""Kinds of parameters (`fmu.posterior.joint.varies.base.Role`) that are marginalised, and kinds that are
+omitted."""
 _NODES = 256
 NAMED = 0.25
-"""A component is named if it is at least this share of the largest component."""
+"""A component is named if it is at least this fraction of the largest component."""
 _SENTENCES = 3
 
 
 def combination(direction: FloatArray, names: Sequence[str]) -> str:
-    """Return a direction as a sum of its larger components in descending order: ``"0.71 E3 − 0.70 E4"``."""
+    """Describe a direction by its larger components in descending order: ``"0.71 E3 − 0.70 E4"``."""
     size = np.abs(direction)
     large = [k for k in np.argsort(-size, kind="stable") if size[k] >= NAMED * size.max()]
     sign = np.sign(direction[large[0]])
@@ -55,20 +56,20 @@ def combination(direction: FloatArray, names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """The directions of the parameter space that the data constrain, linearised at one parameter vector.
+    """Directions in parameter space that the data constrain, linearised at one parameter vector.
 
-    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the covariance of the measurement and D the diagonal matrix of the
-    standard deviations of the prior within its bounds, SᵀS is the Fisher information in prior standard deviations.
-    The singular value decomposition of S orders directions by the information in the data: along a direction of
-    singular value s, a posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et
-    al. 2014, Inverse Problems 30, 114015, section 2). Truncation of the posterior by the bounds is not included.
+    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the measurement covariance and D the diagonal matrix of prior standard
+    deviations within the bounds, SᵀS is the Fisher information in prior standard deviations. The singular value
+    decomposition of S orders directions by the information in the data: along a direction of singular value s, a
+    posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse
+    Problems 30, 114015, section 2). Truncation of the posterior at the bounds is not included.
 
     Attributes
     ----------
     names, units : tuple of str
-        Names and units of the parameters.
+        Parameter names and units.
     labels : tuple of str
-        Labels of the rows of `sensitivity`: the measured modes, or their frequencies and shape components.
+        Row labels of `sensitivity`: the measured modes, or their frequencies and shape components.
     theta : ndarray, shape (ndim,), SI units
         Parameter vector at which the model is linearised.
     prior_sd : ndarray, shape (ndim,), SI units
@@ -88,12 +89,12 @@ class Identifiability:
 
     @property
     def singular_values(self) -> FloatArray:
-        """Singular values of S, shape (ndim,), descending; zero where there are more parameters than modes."""
+        """Singular values of S in descending order, shape (ndim,); zero where parameters outnumber modes."""
         return self._svd[0]
 
     @property
     def directions(self) -> FloatArray:
-        """Orthonormal directions in prior standard deviations, shape (ndim, ndim), one direction per row."""
+        """Orthonormal directions in prior standard deviations, one per row, shape (ndim, ndim)."""
         return self._svd[1]
 
     @property
@@ -112,18 +113,18 @@ class Identifiability:
 
     @property
     def fisher_information(self) -> FloatArray:
-        """Fisher information JᵀΣ⁻¹J in the units of the parameters, shape (ndim, ndim), 1/SI units²."""
+        """Fisher information JᵀΣ⁻¹J, shape (ndim, ndim), in 1/SI units² of the parameters."""
         information: FloatArray = (self.sensitivity.T @ self.sensitivity) / np.outer(self.prior_sd, self.prior_sd)
         return information
 
     @property
     def remaining_sd(self) -> FloatArray:
-        """Ratio of posterior to prior standard deviation of each parameter, linearised, shape (ndim,)."""
+        """Each parameter's posterior standard deviation divided by its prior one, linearised, shape (ndim,)."""
         return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
 
     @property
     def covariance(self) -> FloatArray:
-        """Posterior covariance (I + SᵀS)⁻¹, linearised, in prior standard deviations, shape (ndim, ndim)."""
+        """Linearised posterior covariance (I + SᵀS)⁻¹ in prior standard deviations, shape (ndim, ndim)."""
         V, s = self.directions, self.singular_values
         return np.asarray((V.T / (1.0 + s**2)) @ V)
 
@@ -167,18 +168,18 @@ class Identifiability:
 
 @check_arguments
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
-    """Find the directions of the parameter space that the data constrain, by a linearised model.
+    """Find the directions in parameter space that the data constrain, using a linearised model.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem with an error model of modes. Inferred standard deviations of errors are held fixed. The scores
-        of tests in a population, effects of groups, and unknown covariates are integrated out. The standard
-        deviation, the correlations and the correlation time of a population and the share of outliers are omitted,
-        because they change no mode of a test at the population mean. Dates of damage and kinks are omitted too,
-        because they change no mode if the loss or the slope is zero.
+        A problem with an error model of modes. Inferred standard deviations of errors are held fixed. Test scores,
+        group effects and unknown covariates are marginalised. The standard deviation, correlations and correlation
+        time of a population and the share of outliers are omitted, because they change no mode of a test at the
+        population mean. Dates of damage and kinks are omitted too, because they change no mode if the loss or the
+        slope is zero.
     theta : array_like, shape (ndim,), optional
-        Point of linearisation, SI units, within the bounds. Defaults to the starting point of the problem.
+        Point of linearisation, SI units, within the bounds. Defaults to the problem's starting point.
 
     Returns
     -------
@@ -212,9 +213,10 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
 
 
 def _integrate_out(sensitivity: FloatArray, by_scores: FloatArray) -> FloatArray:
-    """Return the sensitivities in standard deviations of the measurement errors and the tests' scatter combined.
+    """Rescale sensitivities to the combined standard deviations of measurement errors and scatter between tests.
 
-    The scatter comes from the scores, on which the measured quantities depend by `by_scores`.
+    The scatter comes from the test scores; `by_scores` are the derivatives of the measured quantities with respect
+    to them.
     """
     if not by_scores.size:
         return sensitivity
@@ -256,7 +258,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return the results stored by `with_identifiability`, by the name of the point; empty if there are none."""
+    """Return the results stored by `with_identifiability`, by point name; empty if there are none."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()
@@ -281,6 +283,6 @@ def truncated_sd(parameter: Parameter) -> float:
 
 @cache
 def _legendre_nodes() -> tuple[FloatArray, FloatArray]:
-    """Return the nodes and weights of the quadrature; they are cached, because computing them takes 0.1 s."""
+    """Return the quadrature nodes and weights, which are cached because computing them takes 0.1 s."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     return node, weight

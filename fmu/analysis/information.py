@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 DATA, PRIOR, COMBINED = "data", "prior", "combination"
 """What determines a parameter: the data, the prior alone, or the data in a combination only."""
 CONTRACTED = 0.3
-"""A parameter, or a direction, is not informed by the data if its contraction is below this."""
+"""Contraction below which the data do not inform a parameter or direction."""
 CRITERION = (
     "Contraction: 1 − posterior variance / prior variance, from the draws; 1 where the data determine a "
     "parameter, 0 where they do not narrow it. Below 0.3, where 84 % or more of the prior standard deviation "
@@ -45,7 +45,7 @@ _ALONE, _AGREE = 0.9, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """The parameters and directions that the data determine, judged by the draws of a run.
+    """What the data determine: parameters and directions, judged by the draws of a run.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Information:
         return int(np.sum(~self.is_left))
 
     def warnings(self) -> list[str]:
-        """Return a list with one sentence for each direction that the data did not inform."""
+        """Return one sentence for each direction that the data did not inform."""
         said = []
         for one, remains in self.uninformed:
             left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
@@ -122,7 +122,7 @@ class Information:
         return said + [f"{one.replace('the combination', 'The combination', 1)}." for one in self.warnings()]
 
     def table(self) -> pd.DataFrame:
-        """Return one row per parameter: ``contraction``, ``of_logarithm``, ``informed`` and ``determined_by``."""
+        """Return a table of the parameters: ``contraction``, ``of_logarithm``, ``informed``, ``determined_by``."""
         columns = {
             "contraction": self.contraction,
             "of_logarithm": self.of_logarithm,
@@ -144,12 +144,12 @@ class Information:
 
 @check_arguments
 def information(trace: xr.DataTree) -> Information | None:
-    """Find the parameters and directions that the data determine, by the contraction of the draws.
+    """Find the parameters and directions that the data determine, from the contraction of the draws.
 
-    The same criterion applies to parameters and to the principal directions of the draws: below a contraction of
-    0.3 (`CONTRACTED`) the data have not informed them. Draws in separate narrow peaks have a large variance but
-    are informed. Therefore a parameter or direction counts as uninformed only if the entropy of its draws also
-    matches a wide distribution.
+    Contraction is 1 minus the ratio of posterior to prior variance. Parameters, and the principal directions of
+    the draws, are not informed by the data if their contraction is below 0.3 (`CONTRACTED`). Draws in separate
+    narrow peaks have a large variance but are informed. A parameter or direction therefore counts as uninformed
+    only if the entropy of its draws also matches a wide distribution.
 
     A parameter is determined only in a combination in two cases: if it is not informed, or if the uninformed
     directions leave it at least 0.3 of its prior variance. It must not itself be an uninformed direction.
@@ -201,7 +201,7 @@ def information(trace: xr.DataTree) -> Information | None:
 
 
 def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> bool:
-    """Return True if the data informed a direction; `x`, `prior` (n, ndim) are in prior standard deviations."""
+    """Return True if the data informed a direction; `x` and `prior` (n, ndim) are in prior standard deviations."""
     along = x @ direction
     return float(np.var(along, ddof=1)) <= 1.0 - CONTRACTED or (
         _entropy_sd(along, prior @ direction) < _LEAST_BY_ENTROPY
@@ -211,8 +211,8 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
     """Return a sentence on the two parameters that the data separate least; empty if the data confuse no two.
 
-    The draws decide, by the criterion of `information`. If the trace has no draws from the prior, the linearised
-    model decides.
+    It is based on the draws, by the criterion of `information`, or on the linearised model if the trace has no
+    draws from the prior.
     """
     if information(trace) is None:
         pair = hardest_pair(linearised, linearised.covariance)
@@ -224,7 +224,7 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
 
 
 def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
-    """Return a dict from sets of parameters that cannot be separated to the combinations that are determined.
+    """Return the combinations that the data determine, by set of parameters that they cannot separate.
 
     The sets follow from the linearised model stored in the trace.
     """
@@ -235,9 +235,9 @@ def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
 
 
 def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
-    """Return the ratio of posterior to prior standard deviation of the draws along the directions, shape (n,).
+    """Return the draws' ratio of posterior to prior standard deviation along each direction, shape (n,).
 
-    The directions belong to the linearised model. The result corresponds to ``remaining_sd`` of its table, but
+    The directions are those of the linearised model. The result corresponds to ``remaining_sd`` of its table, but
     without linearisation.
     """
     n = len(linearised.names)
@@ -302,16 +302,16 @@ def not_informed(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return the list of `Information.warnings` of a trace; empty if the trace has no draws from the prior."""
+    """Return a trace's `Information.warnings`; empty if the trace has no draws from the prior."""
     found = information(trace)
     return [] if found is None else found.warnings()
 
 
 def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool, ...]]:
-    """Return posterior and prior draws in prior standard deviations from the prior mean, each of shape (n, ndim).
+    """Return posterior and prior draws in prior standard deviations from the prior mean, each (n, ndim).
 
-    The third value is a tuple of bool: whether the logarithms of a parameter's draws are used, as they are for a
-    log-normal prior. Normal scores would magnify the region next to a bound at which the prior is truncated with a
+    The third value is a tuple of bool: whether the logarithm of each parameter is used, as for a log-normal prior.
+    Normal scores are not used. They would magnify the region next to a bound that truncates the prior at a
     positive density: 1 % of the range there would keep 35 % of the standard deviation.
     """
     names = parameter_names(trace)
@@ -325,7 +325,7 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
 
 
 def _entropy_sd(x: FloatArray, prior: FloatArray) -> float:
-    """Return exp(entropy) of `x` over exp(entropy) of the prior draws, by histograms.
+    """Return the ratio of exp(entropy) between `x` and the prior draws, from histograms.
 
     For two distributions of the same shape this is the ratio of their standard deviations.
     """
@@ -333,7 +333,7 @@ def _entropy_sd(x: FloatArray, prior: FloatArray) -> float:
 
 
 def _entropy(x: FloatArray) -> float:
-    """Return the entropy of `x` in nats, by a histogram with bins of width 0.2."""
+    """Return the entropy of `x` in nats, from a histogram with bins of width 0.2."""
     width = 0.2
     counts = np.bincount(np.floor((x - x.min()) / width).astype(int))
     part = counts[counts > 0] / len(x)

@@ -1,7 +1,6 @@
-"""Whether a new test comes from the population of the earlier tests, and if not, which parameter has departed.
+"""Test whether a new test comes from the population of earlier tests and, if not, which parameter has departed.
 
-The score of a test is the distance of a parameter's value from the population mean, in population standard
-deviations.
+A test's score is the distance of a parameter's value from the population mean, in population standard deviations.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 MOST_DRAWS = 4000
-"""Default of the largest number of draws from the posterior at which the next test is simulated."""
+"""Default largest number of posterior draws at which the next test is simulated."""
 LEAST_DRAWS_PER_MODE = 10
 STREAM = 4
-"""Stream of random numbers (`fmu.analysis.trace.conversion.generator`)."""
+"""Random number stream (`fmu.analysis.trace.conversion.generator`)."""
 CLEAR = 2.0 * np.log(20.0)
 """Two departures can be told apart if one makes the data 20 times as probable as the other."""
 
@@ -48,10 +47,10 @@ def predict_tests(
 ) -> pd.DataFrame:
     """Compare new tests of a structure with the posterior prediction of the next test.
 
-    Each new test is compared with the earlier tests only, not with the other new tests. In the order of the tests
-    it comes after the last. If values are correlated in time, its covariates must give its time.
+    Each new test is compared with the earlier tests only, not with the other new tests. It follows the last
+    earlier test in order. If values are correlated in time, its covariates must give its time.
 
-    The next test is simulated at n draws of the posterior: its scores are drawn from the populations, it has the
+    The next test is simulated at n posterior draws: its scores are drawn from the populations, it has the
     covariates and the group of the new test, and measurement errors are added. The statistic is the squared
     Mahalanobis distance D² = (y − ȳ)ᵀ S⁻¹ (y − ȳ) of the frequencies that the new test has. The mean ȳ and the
     covariance S are those of the n simulated tests and the new one together, and p is the rank of the new test
@@ -59,10 +58,10 @@ def predict_tests(
     probability α, averaged over campaigns and new tests.
 
     If only the score of parameter j departs, the frequencies change in the direction aⱼ, the regression of the
-    simulated frequencies on the scores. With the residual r = y − ȳ, the shift that fits best is
-    aⱼᵀS⁻¹r / aⱼᵀS⁻¹aⱼ. It explains the part tⱼ² = (aⱼᵀS⁻¹r)² / aⱼᵀS⁻¹aⱼ of D², a generalised likelihood ratio
-    (Kay 1998, *Fundamentals of Statistical Signal Processing: Detection Theory*, sec. 6.4). If no score departs,
-    tⱼ has the mean 0 and the standard deviation 1.
+    simulated frequencies on the scores. With the residual r = y − ȳ, the shift that fits best is aⱼᵀS⁻¹r /
+    aⱼᵀS⁻¹aⱼ. It explains the part tⱼ² = (aⱼᵀS⁻¹r)² / aⱼᵀS⁻¹aⱼ of D², a generalised likelihood ratio (Kay 1998,
+    *Fundamentals of Statistical Signal Processing: Detection Theory*, sec. 6.4). If no score departs, tⱼ has mean
+    0 and standard deviation 1.
 
     Parameters
     ----------
@@ -71,14 +70,14 @@ def predict_tests(
     problem : UpdatingProblem
         A `fmu.JointProblem` with a population.
     tests : sequence of Test
-        The new tests. Their modes have the labels of the problem's modes, and may be fewer. The errors of their
-        frequencies, and the masses, springs and known parameters, are those of a test of the problem; see `like`.
+        The new tests. Their modes have the labels of the problem's modes, and may be fewer. Their frequency
+        errors, masses, springs and known parameters are taken from a test of the problem; see `like`.
     like : str, optional
-        Name of the test of the problem whose configuration and errors the new tests have. Default: the first test
-        that has all modes of the new test and, if a parameter varies between groups, the same group. Its masses,
-        springs and known parameters must then be those of all tests of the group.
+        Name of the problem's test whose configuration and errors the new tests have. Default: the first test that
+        has all modes of the new test and, if a parameter varies between groups, the same group. Its masses,
+        springs and known parameters must then be shared by all tests of the group.
     draws : int
-        Largest number of draws that are used, evenly spaced over the trace. The model is solved at each of them.
+        Largest number of draws used, evenly spaced over the trace. The model is solved at each of them.
 
     Returns
     -------
@@ -86,7 +85,7 @@ def predict_tests(
         One row per test:
 
         - ``p_value``: between 1/(n + 1) and 1;
-        - ``parameter``: the parameter that explains the departure best, of those with a population;
+        - ``parameter``: the parameter with a population that explains the departure best;
         - ``or_parameters``: other parameters that the data cannot distinguish from it, because the best fit with
           one makes the data less than 20 times as probable as the best fit with the other;
         - ``change``: its relative change from the mean of the population that fits best, NaN if the mean is zero;
@@ -101,8 +100,8 @@ def predict_tests(
     TestsError
         If the new tests do not fit the problem; the error lists every fault.
     ValueError
-        If the problem has no population, its errors are not of frequencies, the trace is not of the problem, or
-        it has fewer than ten draws for each mode of a new test.
+        If the problem has no population, it has no frequency errors, the trace belongs to another problem, or it
+        has fewer than ten draws for each mode of a new test.
     """
     check_trace(trace)
     if parameter_names(trace) != problem.names:
@@ -208,7 +207,7 @@ def _times(problem: UpdatingProblem) -> set[str]:
 
 
 def _without_failures(drawn: NextTest) -> NextTest:
-    """Return the draws at which the model could be solved."""
+    """Drop the draws at which the model could not be solved."""
     solved = np.isfinite(drawn.measured).all(axis=1)
     return NextTest(*(part[solved] for part in drawn))
 
@@ -239,7 +238,7 @@ def _compare(problem: UpdatingProblem, test: Test, like: Test, drawn: NextTest) 
 
 
 def rank_p_value(simulated: FloatArray, measured: FloatArray) -> float:
-    """Return the rank of a measurement's squared Mahalanobis distance, among simulations, as a p-value.
+    """Return a p-value: the rank of a measurement's squared Mahalanobis distance among simulations.
 
     Parameters
     ----------
@@ -249,8 +248,8 @@ def rank_p_value(simulated: FloatArray, measured: FloatArray) -> float:
     Returns
     -------
     float
-        (1 + number of simulations at least as far as the measurement) / (n + 1). Mean and covariance are those of
-        simulations and measurement together, so that all n + 1 are treated alike.
+        (1 + number of simulations at least as far as the measurement) / (n + 1). Mean and covariance are computed
+        from simulations and measurement together, so that all n + 1 are treated alike.
     """
     together = np.vstack([measured, simulated])
     off = (together - together.mean(axis=0)) / together.std(axis=0)

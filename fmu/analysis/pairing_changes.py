@@ -1,4 +1,4 @@
-"""Changes of the pairing of computed with measured modes over the draws of a run."""
+"""Changes in how computed and measured modes are paired over the draws of a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 GROUP = "pairing"
-"""Group of a trace that stores which computed mode was paired with each measured mode."""
+"""Name of the trace group that stores which computed mode was paired with each measured mode."""
 MOST_DRAWS = 2000
 """Number of draws examined, evenly spaced over the chains; the most probable draw is added."""
 _MEANS = {
@@ -40,25 +40,26 @@ _MEANS = {
 
 @dataclass(frozen=True, eq=False)
 class PairingChanges:
-    """Changes of the pairing of modes over the draws of a run.
+    """How the pairing of modes changes over the draws of a run.
 
     Attributes
     ----------
     labels : tuple of str
         Labels of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
-        Share of all draws in which the order of two measured modes is the reverse of their order before updating.
+        Fraction of all draws in which two measured modes are in the reverse of their order before updating.
     rule : {"shape", "index", "soft"} or None
         How modes are paired; None if the trace does not store the pairing. The attributes below are then unknown.
     constant : bool
-        Whether the pairing cannot change: each measured mode is a fixed mode of a block, as was verified.
+        Whether the pairing cannot change, because it was verified that each measured mode is a fixed mode of a
+        block.
     project : int
         Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
-        Share of these draws in which the measured mode is paired with another computed mode (block, or number
+        Fraction of these draws in which the measured mode is paired with another computed mode (block, or number
         within the block) than in the most probable draw.
     jumps : int
-        Number of these draws with such a change in any mode.
+        Number of these draws with a change of this kind in any mode.
     gap : ndarray, shape (n_modes,)
         Smallest relative distance in frequency to another computed mode over these draws; infinite if there is no
         other mode. If the pairing is constant or unknown, only paired modes are compared, over all draws.
@@ -74,11 +75,11 @@ class PairingChanges:
     gap: FloatArray
 
     def table(self) -> pd.DataFrame:
-        """Return a table with one row per measured mode, for changes of the pairing.
+        """Return a table of pairing changes with one row per measured mode.
 
-        The columns are ``swapped_percent``, the share of draws with a reversed order, in %; ``swapped_with``, the
-        labels of these modes; ``other_mode_percent``, the share of draws with another computed mode, in %; and
-        ``closest_percent``, the smallest distance in frequency to another mode, in %.
+        The columns are ``swapped_percent``, the fraction of draws with a reversed order, in %; ``swapped_with``,
+        the labels of these modes; ``other_mode_percent``, the fraction of draws with another computed mode, in %;
+        and ``closest_percent``, the smallest distance in frequency to another mode, in %.
         """
         return data_frame(
             {
@@ -145,10 +146,10 @@ class PairingChanges:
 def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     """Return how often the pairing of modes changed over the retained draws of a run.
 
-    Two kinds of change are possible. The *order* of the measured modes may differ from the order before updating.
-    This is harmless as long as each mode keeps its shape. Or another *computed mode* may be paired with a measured
-    mode. If modes are paired one to one by MAC and veer, the log-probability then jumps, which violates an
-    assumption of gradient-based samplers; with ``pairing="soft"`` it does not jump
+    Two kinds of change are possible. First, the *order* of the measured modes may differ from the order before
+    updating. This is harmless as long as each mode keeps its shape. Second, another *computed mode* may be paired
+    with a measured mode. If modes are paired one to one by MAC and veer, the log-probability then jumps, which
+    violates an assumption of gradient-based samplers; with ``pairing="soft"`` it does not jump
     (`fmu.posterior.errors.mixture`). If the modes cross without mixing (one symmetric, one antisymmetric), the
     log-probability stays smooth in any case.
 
@@ -197,7 +198,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
 
 def jump_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a warning if the pairing by MAC, and so the log-probability, jumps within the draws."""
+    """Return a warning, in a list, if the pairing by MAC, and so the log-probability, jumps within the draws."""
     if not has(trace, GROUP) or trace[GROUP].attrs["rule"] != "shape":
         return []
     found = pairing_changes(trace)
@@ -212,7 +213,7 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
-    """Return the trace with the paired computed modes stored in it; unchanged if the model is not a structure.
+    """Return the trace with the paired computed modes added; unchanged if the model is not a structure.
 
     The group has ``block`` and ``rank`` (sample, mode), small integers, at about `MOST_DRAWS` draws given by
     ``chain`` and ``draw``; and ``gap``, the relative distance in frequency to the nearest other computed mode. If
@@ -252,7 +253,7 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
 
 
 def nearest_other(structure: Any, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
-    """Return the relative distance in frequency of each mode to the nearest other mode, shape (n, n_modes).
+    """Return each mode's relative distance in frequency to the nearest other mode, shape (n, n_modes).
 
     Parameters
     ----------

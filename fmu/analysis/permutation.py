@@ -1,8 +1,8 @@
 """Permutation tests: statistics of a sequence, compared with the same statistics in random orders.
 
-The sequences are frequencies, or scores of tests in units of their standard deviation. Statistics that differ in
-kind are put on a common scale by the probability that they would have for normal values (`improbability`). The
-random orders then make the test exact for any distribution of the values.
+The sequences are frequencies, or test scores in units of their standard deviation. Statistics of different kinds
+are put on a common scale by the probability that they would have for normal values (`improbability`). The random
+orders then make the test exact for any distribution of the values.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ type Statistics = Callable[[FloatArray, BoolArray], FloatArray]
 
 
 def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) -> FloatArray:
-    """Return the statistics of a sequence, followed by those in random orders, shape (1 + n_orders, …).
+    """Return statistics of a sequence in its own order, then in random orders, shape (1 + n_orders, …).
 
     The same sequence always gives the same result.
 
@@ -48,9 +48,9 @@ def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) 
 
 
 def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> FloatArray:
-    """Return the adjusted p-values of the statistics under random order, shape (k,).
+    """Return the p-values of the statistics under random order, adjusted for their number, shape (k,).
 
-    Every statistic is standardised by its mean and standard deviation over random orders and compared with the
+    Each statistic is standardised by its mean and standard deviation over random orders and compared with the
     largest of all statistics in each random order (Westfall & Young 1993, *Resampling-based multiple testing*,
     section 2.3). The smallest possible p-value is 1/(1 + n_orders).
 
@@ -71,7 +71,7 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 
 
 def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
-    """Return the probability that the largest statistic in a random order is at least as large as each one, (k,).
+    """Return the probability that a random order's largest statistic is at least as large as each one, (k,).
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
 def improbability(r_squared: FloatArray, n: FloatArray, k: int = 1) -> FloatArray:
     """Return −log P(R² ≥ r²) for the squared multiple correlation R² of n normal values with k quantities.
 
-    This puts different statistics on a common scale, whatever the distribution of the values. R² has the beta
-    distribution with the parameters k/2 and (n − 1 − k)/2.
+    This puts different statistics on a common scale, whatever the distribution of the values. R² follows a beta
+    distribution with parameters k/2 and (n − 1 − k)/2.
     """
     left = np.maximum(0.5 * (n - 1.0 - k), 0.5)
     return np.asarray(-np.log(np.maximum(betainc(left, 0.5 * k, np.clip(1.0 - r_squared, 0.0, 1.0)), _TINY)))
@@ -99,14 +99,14 @@ def improbability_of_lag_one(r: FloatArray, n: FloatArray) -> FloatArray:
 
 
 def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the lag-1 autocorrelation of each column of centred sequences, shape (n_orders, m)."""
+    """Return each column's lag-1 autocorrelation in centred sequences z (n_orders, n, m), shape (n_orders, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     pairs = np.maximum(np.sum(present[:, 1:] & present[:, :-1], axis=1), 1)
     return np.asarray(np.sum(z[:, 1:] * z[:, :-1], axis=1) / square * (n - 1) / pairs)
 
 
 def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the correlation of each column of centred sequences with x (n,), shape (n_orders, m)."""
+    """Return the correlation of each column of centred sequences z (n_orders, n, m) with x (n,), (n_orders, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     t = np.where(present, x[:, None], 0.0)
     t = np.where(present, t - (t.sum(axis=1) / n)[:, None], 0.0)
@@ -114,9 +114,9 @@ def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatA
 
 
 def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the share of the variance of each centred sequence that lies between groups, (n_orders, m).
+    """Return the fraction of each centred sequence's variance that lies between groups, (n_orders, m).
 
-    The matrix `of_group`, (n, n_groups), is one where a row belongs to a group, and zero elsewhere.
+    `of_group` (n, n_groups) is one where a row belongs to a group, otherwise zero.
     """
     sums = np.einsum("onm,ng->omg", z, of_group)
     counts = np.einsum("onm,ng->omg", present.astype(float), of_group)
@@ -124,21 +124,21 @@ def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> F
 
 
 def slow_waves(n: int) -> FloatArray:
-    """Return the first two cosine waves over a sequence of n values, of unit length, shape (n, 2)."""
+    """Return the first two cosine waves over a sequence of n values, each of unit length, shape (n, 2)."""
     waves = np.cos(np.pi * (np.arange(n)[:, None] + 0.5) * np.array([1.0, 2.0]) / n)
     return np.asarray(waves / np.linalg.norm(waves, axis=0))
 
 
 def share_along(basis: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the share of the squares of centred sequences in the span of a basis, shape (n_orders, m).
+    """Return the fraction of each centred sequence's sum of squares in the span of a basis, (n_orders, m).
 
-    The columns of `basis`, (n, k), are orthonormal.
+    The columns of `basis` (n, k) are orthonormal.
     """
     return np.asarray(np.sum(np.einsum("onm,nk->omk", z, basis) ** 2, axis=2) / np.sum(z**2, axis=1))
 
 
 class Bends:
-    """The places at which the dependence of a sequence on x may bend.
+    """Positions at which the dependence of a sequence on x may bend.
 
     Parameters
     ----------
@@ -163,9 +163,9 @@ class Bends:
         self.places, self._line, self._bent, self._known = at[kept], line, bent[:, kept] / size[kept], known
 
     def shares(self, z: FloatArray) -> FloatArray:
-        """Return the share of the variance about a straight line in x that a bend at each place explains.
+        """Return the fraction of the variance about a straight line in x that a bend at each position explains.
 
-        The sequences `z` have the shape (…, n, m).
+        The sequences `z` have shape (…, n, m).
 
         Returns
         -------
@@ -176,7 +176,7 @@ class Bends:
         return np.asarray(np.einsum("...nm,nc->...mc", z, self._bent) ** 2 / left[..., None])
 
     def largest(self, z: FloatArray, present: BoolArray) -> FloatArray:
-        """Return the largest of `shares` over the places, shape (n_orders, m)."""
+        """Return the largest of `shares` over all positions, shape (n_orders, m)."""
         return np.asarray(self.shares(z).max(axis=-1))
 
 

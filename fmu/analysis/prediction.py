@@ -1,4 +1,4 @@
-"""Posterior expectations and predictions, eq. (10) and (11) of the paper, and warnings about the model."""
+"""Posterior expectations and predictions, eqs. (10) and (11) of the paper, and warnings about the model."""
 
 from __future__ import annotations
 
@@ -142,14 +142,17 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:
-    """Return the single tests (n_tests, n_modes), Hz, NaN where a test missed a mode; None without tests."""
+    """Return the frequencies of the single tests (n_tests, n_modes), Hz, or None without repeated tests.
+
+    They are NaN where a test missed a mode.
+    """
     if not has(trace, "observed_data", "tests"):
         return None
     return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())
 
 
 def measurement_in_words(tests: FloatArray | None) -> str:
-    """Return the description of a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``."""
+    """Describe a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``."""
     if tests is None:
         return "a measurement"
     counts = np.sum(~np.isnan(tests), axis=0)
@@ -158,7 +161,10 @@ def measurement_in_words(tests: FloatArray | None) -> str:
 
 
 def _read_draws(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the draws of a stored variable, shape (chains, draws) or (chains, draws, k)."""
+    """Return the draws of a stored variable, shape (chains, draws) or (chains, draws, k).
+
+    Raise ValueError if no variable has this name.
+    """
     known = []
     for group in ("posterior", "posterior_predictive"):
         if has(trace, group):
@@ -169,7 +175,10 @@ def _read_draws(trace: xr.DataTree, name: str) -> FloatArray:
 
 
 def _evaluate(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return G at every draw, shape (chains, draws) or (chains, draws, k)."""
+    """Return G at every draw, shape (chains, draws) or (chains, draws, k).
+
+    Raise ValueError if G returns another shape or values that are not finite.
+    """
     draws = parameter_draws(trace)
     n = draws.shape[0] * draws.shape[1]
     values = np.asarray(G(draws.reshape(n, -1)), dtype=float)
@@ -182,7 +191,7 @@ def _evaluate(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> Floa
 
 
 NEAR_A_BOUND = 0.02
-"""A draw is next to a bound if it is closer to the bound than this share of the range between the bounds."""
+"""A draw is next to a bound if it is closer to it than this fraction of the range between the bounds."""
 MORE_THAN_THE_PRIOR, LEAST_SHARE = 3.0, 0.05
 _WITHIN = 2.0
 
@@ -200,9 +209,8 @@ class AtBound(NamedTuple):
 def at_bounds(trace: xr.DataTree) -> list[AtBound]:
     """Return the parameters whose draws accumulate at a bound, which suggests values beyond the bound.
 
-    A parameter is listed if at least 5 % of the posterior lies within 2 % of the range from the bound, and more
-    than three times the share of the prior there. Its posterior mean must also be within two standard deviations
-    of the bound.
+    Three conditions apply. At least 5 % of the posterior lies within 2 % of the range from the bound. This is more
+    than three times the prior's fraction there. The posterior mean is within two standard deviations of the bound.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))
@@ -221,7 +229,7 @@ def at_bounds(trace: xr.DataTree) -> list[AtBound]:
 
 
 PINNED = 0.5
-"""If more than this share of the draws lies next to a bound, the bound helps to determine the parameter."""
+"""Fraction of the draws next to a bound above which the bound helps to determine the parameter."""
 
 
 def pinned_parameters(trace: xr.DataTree) -> list[str]:
@@ -230,7 +238,7 @@ def pinned_parameters(trace: xr.DataTree) -> list[str]:
 
 
 def bound_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence for each parameter whose draws accumulate at a bound."""
+    """Return a sentence for each parameter whose draws accumulate at a bound."""
     return [
         f"{one.name}: {share(one.near)} of the draws (prior: {share(one.before)}) lie within "
         f"{share(NEAR_A_BOUND)} of the range from the {one.side} bound, {one.bound}"
@@ -239,14 +247,14 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the share of the prior near a bound; without prior draws the prior is taken to be uniform."""
+    """Return the fraction of the prior near a bound; without prior draws the prior is taken as uniform."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"].variables[name].to_numpy() - bound) < margin))
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
-    """Return a list with a warning if a draw has a higher log-probability than any maximum found."""
+    """Return a warning, in a list, if a draw has a higher log-probability than any maximum found."""
     reached = float(array_of(trace, "sample_stats", "lp").max())
     if reached <= highest + 1e-3:
         return []

@@ -40,7 +40,7 @@ class Repeatability:
     drift : ndarray, shape (n_modes,)
         Change from first to last test along the least-squares line, relative to the mean.
     resembles, drifts : ndarray of bool, shape (n_modes,)
-        Whether the autocorrelation and the trend of each mode are too large for independent tests.
+        Whether each mode's autocorrelation, and its trend, are too large for independent tests.
     all_resemble : bool
         Whether the mean autocorrelation over all modes is too large for independent tests.
     """
@@ -56,18 +56,17 @@ class Repeatability:
 
     @property
     def effective(self) -> FloatArray:
-        """Number of independent tests with the same standard error of the mean, at least 1, shape (n_modes,).
+        """Number of independent tests that would give the same standard error of the mean, at least 1, (n_modes,).
 
         For an autoregressive series of order 1 it is n (1 − ρ)/(1 + ρ). Here ρ is r_1 corrected for its bias in
-        short series to the first order in 1/n, (r_1 + 1/n)/(1 − 3/n) (Marriott & Pope 1954, Biometrika 41,
-        390–402).
+        short series to first order in 1/n, (r_1 + 1/n)/(1 − 3/n) (Marriott & Pope 1954, Biometrika 41, 390–402).
         """
         n = np.maximum(self.n, 4)
         rho = np.clip((self.autocorrelation + 1.0 / n) / (1.0 - 3.0 / n), 0.0, _MOST_CORRELATED)
         return np.asarray(np.maximum(self.n * (1.0 - rho) / (1.0 + rho), 1.0))
 
     def doubts(self) -> list[str]:
-        """Return a sentence for each mode with drift or correlated tests, and a remedy; empty if there is none."""
+        """Return a sentence on each mode with drift or correlated tests, and a remedy; empty if there is none."""
         said = [self._of_mode(int(k)) for k in np.flatnonzero(self.resembles | self.drifts)]
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
@@ -109,13 +108,14 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     """Test repeated tests for drift and correlation, by permutation.
 
     If the tests are independent, all orders of the tests are equally probable. The statistics are r_1 of each
-    mode, the mean of r_1 over the modes, and the absolute correlation of each mode with the order. Each statistic
-    is standardised by its mean and standard deviation over random orders. All modes are permuted together, since
-    they may depend on each other. A statistic is significant if it exceeds the largest of all statistics in all
-    but 0.5 % of the random orders. Independent tests of any distribution are then called dependent in less than
-    1 % of problems (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). With five tests or
-    fewer nothing can be significant. Ten tests detect an autoregression of 0.7 in one mode with a probability of
-    one in seven, thirty tests with a probability of five in six.
+    mode, the mean of r_1 over the modes, and the absolute correlation of each mode with the order. Each is
+    standardised by its mean and standard deviation over random orders. All modes are permuted together, since they
+    may depend on each other. A statistic is significant if it exceeds the largest of all statistics in all but 0.5
+    % of the random orders.
+
+    Independent tests of any distribution are then called dependent in less than 1 % of problems (Westfall & Young
+    1993, *Resampling-based multiple testing*, section 2.3). With five tests or fewer, nothing can be significant.
+    An autoregression of 0.7 in one mode is detected with a probability of 1/7 by ten tests, and of 5/6 by thirty.
 
     Parameters
     ----------

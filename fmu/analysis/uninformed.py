@@ -13,25 +13,26 @@ from fmu.numbers import names_in_words, share, significant
 from fmu.types import FloatArray
 
 _CONFUSED = 0.5
-"""The data confuse two parameters if their least constrained combination has components of this ratio or more."""
+"""Component ratio of the least constrained combination from which the data confuse two parameters."""
 LINEARISED_LEFT = 0.95
-"""A direction is uninformed if at least this share of its prior standard deviation remains, linearised."""
+"""Fraction of a direction's prior standard deviation that must remain, linearised, for it to be uninformed."""
 _ALIKE = 0.05
 
 
 class Uninformed(NamedTuple):
-    """A direction of the parameter space on which the data carry no information.
+    """A direction in parameter space on which the data carry no information.
 
     Attributes
     ----------
     direction : ndarray, shape (ndim,)
         A unit vector, in prior standard deviations.
     names : tuple of str
-        The parameters with large components, in the order of theta.
+        Parameters with large components, in the order of theta.
     words : str
         The parameter ``"k"``, or the combination with the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
-        The combination that the data determine instead, if it has a simple form, such as ``"k/m"``; else empty.
+        The combination that the data determine instead, if it has a simple form, such as ``"k/m"``; otherwise
+        empty.
     """
 
     direction: FloatArray
@@ -66,7 +67,7 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
 
 
 def doubts(found: Identifiability) -> list[str]:
-    """Return a list with a sentence for each direction that the measured modes cannot determine, with a remedy."""
+    """Return a sentence, with a remedy, for each direction that the measured modes cannot determine."""
     said = []
     for one in left_to_prior(found):
         names = names_in_words(one.names)
@@ -104,8 +105,8 @@ class Pair(NamedTuple):
     remaining_sd : float
         Ratio of posterior to prior standard deviation along this direction.
     change : float
-        Change of the data in the linearised model, in standard deviations of the measurement, for a step of one
-        prior standard deviation along this direction.
+        Change of the data in the linearised model, in measurement standard deviations, for a step of one prior
+        standard deviation along this direction.
     words : str
         The combination in words: ``"0.71 E1 − 0.70 E5"``.
     """
@@ -128,12 +129,12 @@ class Pair(NamedTuple):
 
 
 def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
-    """Return the two parameters that the data separate least, by the posterior covariance.
+    """Return the two parameters that the data separate least, judged by the posterior covariance.
 
     In the plane of two parameters, the combination that the data constrain least is the leading eigenvector of the
-    posterior covariance in prior standard deviations. If this eigenvector is mostly one parameter, the data do not
-    confuse the two. The cosine between two columns of the sensitivity does not show whether they can be separated:
-    columns of cosine 0.99 and length 50 differ by 7 standard deviations of the measurement.
+    posterior covariance in prior standard deviations. If it is mostly one parameter, the data do not confuse the
+    two. The cosine between two columns of the sensitivity does not show whether they can be separated: columns
+    with cosine 0.99 and length 50 differ by 7 measurement standard deviations.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def eliminate(rows: FloatArray) -> FloatArray:
 
 
 def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
-    """Return a direction with its name; `relative` has the relative change of each parameter along it."""
+    """Name a direction by its large components; `relative` is each parameter's relative change along it."""
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")
     large = large[size[large] >= NAMED * size.max()]
@@ -193,7 +194,7 @@ def name_direction(direction: FloatArray, names: tuple[str, ...], relative: Floa
 
 
 def _constant_in_words(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
-    """Return the ratio or product that is constant along a direction: ``"k/m"``; empty if there is none."""
+    """Return the ratio or product that is constant along a direction, such as ``"k/m"``; empty if none is."""
     change = relative[large]
     if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():
         return ""

@@ -1,4 +1,4 @@
-"""The check of a problem before sampling: model, modes, gradient, identifiability and prior prediction."""
+"""Checks a problem before sampling: model, modes, gradient, identifiability and prior prediction."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Check:
     name : str
         Name of the problem.
     model : tuple of str
-        Description of the model, one sentence each.
+        Sentences that describe the model.
     parameters : pandas.DataFrame
         One row per parameter: ``unit``; ``start``, ``lower`` and ``upper`` in this unit; ``prior`` and ``changes``
         in words.
@@ -67,7 +67,7 @@ class Check:
     prior : PriorPrediction
         Prior prediction of the measured frequencies.
     rounding : str
-        A warning if the matrices have too few digits; else empty.
+        A warning if the matrices have too few digits; otherwise empty.
     drawing : str
         The structure as SVG; empty if it has no geometry or too many elements.
     colours : tuple of (str or None)
@@ -79,16 +79,16 @@ class Check:
     shapes : xarray.Dataset or None
         Mode shapes at the starting point (`fmu.analysis.trace.modal_states.modal_states`); None without a drawing.
     assumptions : Assumptions or None
-        The assumptions of the posterior (`fmu.posterior.assumptions`).
+        Assumptions of the posterior (`fmu.posterior.assumptions`).
     priors : tuple of str
-        Warnings about priors that hardly fit within their bounds, and about parameters without a purpose, one
+        Warnings about priors that hardly fit within their bounds, and about parameters that serve no purpose, one
         sentence each.
     discrepancy : tuple of str
-        Warnings about discrepancies that have no effect or cannot be told apart, one sentence each.
+        Warnings about discrepancies that have no effect or that the data cannot tell apart, one sentence each.
     points : Matching or None
-        The test points matched to nodes of the model; None if no coordinates were given.
+        Test points matched to nodes of the model; None if no coordinates were given.
     frfs : MeasuredFRFs or None
-        Measured FRFs, and those of the model at the starting point; None if there are none.
+        Measured FRFs and the model's at the starting point; None if there are none.
     """
 
     name: str
@@ -112,7 +112,7 @@ class Check:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings about points to examine before sampling, one sentence each."""
+        """Warnings about what to examine before sampling, one sentence each."""
         found = [
             *self.priors,
             *self.discrepancy,
@@ -132,7 +132,7 @@ class Check:
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:
-        """Warnings about test points far from the mesh and about sensors that disagree, one sentence each."""
+        """Warnings about test points far from the mesh and sensors that disagree, one sentence each."""
         found, placed = self.modes.correlation, () if self.points is None else self.points.doubts
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
@@ -152,12 +152,12 @@ class Check:
         return modes_as_text(self.modes)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return a table of text with the CoMAC and ECoMAC of each sensor, in descending order of ECoMAC."""
+        """Return a text table with the CoMAC and ECoMAC of each sensor, in descending order of ECoMAC."""
         assert self.modes.correlation is not None  # there are measured shapes
         return self.modes.correlation.table().map(fixed, places=2).reset_index()
 
     def prior_table(self) -> pd.DataFrame:
-        """Return a table of text with the measured frequencies and their prior predictions, Hz."""
+        """Return a text table with the measured frequencies and their prior predictions, Hz."""
         table = self.prior.table()
         shown = table[["measured"]].map(given)
         shown["prior prediction"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]
@@ -165,12 +165,12 @@ class Check:
         return shown
 
     def parameter_table(self) -> pd.DataFrame:
-        """Return the table of the parameters as text."""
+        """Return the table of parameters as text."""
         numbers = self.parameters.select_dtypes("number").columns
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
     def _blocks(self) -> list[Block]:
-        """Return the list of sections below the model, each with a title, sentences and a table of text."""
+        """Return the sections below the model, each with a title, sentences and a text table."""
         blocks: list[Block] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumption_block(),
@@ -186,7 +186,7 @@ class Check:
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
 
     def point_table(self) -> pd.DataFrame:
-        """Return the node and the distance of each test point as text, in descending order of distance."""
+        """Return a text table with the node and distance of each test point, in descending order of distance."""
         assert self.points is not None  # there are coordinates
         table = self.points.table().sort_values("distance", ascending=False, kind="stable").reset_index()
         lengths = {f"{key}, m": table[key].map(significant) for key in ("distance", "spacing")}
@@ -235,7 +235,7 @@ class Check:
         return "\n\n".join([*parts, self.verdict()])
 
     def verdict(self) -> str:
-        """Return the list of warnings as text, or ``"No warnings."``."""
+        """Return the warnings as text, or ``"No warnings."``."""
         if not self.doubts:
             return "No warnings."
         return "Warnings\n" + "\n".join(wrap_text(doubt, "  - ", "    ") for doubt in self.doubts)
@@ -253,11 +253,11 @@ class Check:
 
 
 _WORDS = ("", "FRF", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
-"""Headings of columns with text, which are aligned left."""
+"""Headings of text columns, which are aligned left."""
 
 
 def _shorten(block: Block) -> Block:
-    """Return a section with its table cut to the first `_MOST_ROWS` rows."""
+    """Cut a section's table to its first `_MOST_ROWS` rows, and say so in the title."""
     title, sentences, table = block
     if table is None or len(table) <= _MOST_ROWS:
         return block
@@ -335,7 +335,7 @@ def check(
 
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
-    """Return a sentence on the parameters that are neither updated nor scatter, in a list; empty without any."""
+    """Return a sentence, in a list, on parameters that are neither updated nor scatter, if there are any."""
     likelihood = discrepant_likelihood(problem)
     scattered = [] if likelihood is None else likelihood.errors.scattered.tolist()
     idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]
@@ -347,7 +347,7 @@ def _without_purpose(problem: UpdatingProblem) -> list[str]:
 
 
 def _tolerance(problem: UpdatingProblem) -> float | None:
-    """Return the largest relative frequency error allowed in the reduced model; None if it is not reduced."""
+    """Return the largest relative frequency error allowed in the reduced model, or None if it is not reduced."""
     return None if problem.tolerance is None else problem.tolerance.frequency
 
 

@@ -10,13 +10,13 @@ from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.problem import UpdatingProblem
 
 _NO_EFFECT = 1e-9
-"""A parameter has no effect if its changes of all residuals are below this share of the largest change."""
+"""A parameter has no effect if its changes of all residuals are below this fraction of the largest change."""
 _ALIKE = 0.999
-"""Correlation of the information on two standard deviations above which the data cannot tell them apart."""
+"""Correlation between the information on two standard deviations above which the data cannot tell them apart."""
 
 
 def discrepancy_doubts(problem: UpdatingProblem) -> list[str]:
-    """Return a list of warnings about the discrepancies of a problem at its starting point, one sentence each.
+    """Return warnings about a problem's discrepancies at its starting point, one sentence each.
 
     A parameter that changes no mode has no scatter to infer. Two inferred standard deviations cannot be told apart
     if their Fisher information (of Gaussian errors with these variances) is singular: their errors then have the

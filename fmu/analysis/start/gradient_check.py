@@ -1,4 +1,4 @@
-"""The exact gradient of a log-probability, compared with differences of the log-probability."""
+"""Compares the exact gradient of a log-probability with finite differences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 AGREE = 1e-4
-"""Largest relative difference at which the gradient counts as correct."""
+"""Largest relative difference up to which the gradient counts as correct."""
 _STEPS = (1e-3, 1e-4, 1e-5)
 _RANDOM = 2
 _SMALL = 1e-3
@@ -32,12 +32,13 @@ class GradientCheck:
     Attributes
     ----------
     names : tuple of str
-        Names of the parameters.
+        Parameter names.
     points : tuple of str
         Descriptions of the points.
     theta : ndarray, shape (n, ndim), SI units
+        The points.
     exact, difference : ndarray, shape (n, ndim)
-        ∂log P/∂u with u = (θ − offset)/scale; the differences have the step that agrees best.
+        ∂log P/∂u with u = (θ − offset)/scale; the differences use the step that agrees best.
     """
 
     names: tuple[str, ...]
@@ -48,7 +49,7 @@ class GradientCheck:
 
     @property
     def relative_error(self) -> FloatArray:
-        """Error of each gradient component relative to the size of the gradient at the point, shape (n, ndim).
+        """Error of each gradient component relative to the gradient's size at the point, shape (n, ndim).
 
         The size is the largest absolute component at the point. It is at least a thousandth of the largest at any
         point, because the gradient vanishes near a maximum, and at least 1.
@@ -59,7 +60,7 @@ class GradientCheck:
 
     @property
     def largest(self) -> float:
-        """The largest relative error; NaN if a component could not be computed."""
+        """Largest relative error; NaN if a component could not be computed."""
         return float(np.max(self.relative_error))
 
     @property
@@ -87,7 +88,7 @@ class GradientCheck:
         )
 
     def table(self) -> pd.DataFrame:
-        """Return one row per point and parameter: ``exact``, ``difference``, ``relative_error``."""
+        """Return a table with one row per point and parameter: ``exact``, ``difference``, ``relative_error``."""
         import pandas as pd
 
         index = pd.MultiIndex.from_product([self.points, self.names], names=["point", "parameter"])
@@ -96,7 +97,7 @@ class GradientCheck:
 
 
 def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
-    """Compare the gradient with central differences at the starting point and at two random draws from the prior.
+    """Compare the gradient with central differences at the starting point and at two random prior draws.
 
     Parameters
     ----------
@@ -107,8 +108,8 @@ def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     Returns
     -------
     GradientCheck
-        Of three step lengths, the differences that agree best are used at each point: long steps suffer from
-        truncation, short ones from rounding.
+        Each point uses whichever of three step lengths agrees best: long steps suffer from truncation, short ones
+        from rounding.
     """
     density = ScaledDensity(problem)
     theta = np.vstack([problem.start, problem.sample_prior(np.random.default_rng(seed), _RANDOM)])

@@ -1,4 +1,4 @@
-"""Computed modes of a model at the starting point, their pairing with the measured modes, and warnings."""
+"""Computed modes at the starting point, their pairing with the measured modes, and warnings."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class InitialModes:
     correlation : Correlation or None
         Comparison of the measured and computed shapes at the sensors; None if no shapes were measured.
     mpc : ndarray, shape (n_modes,), or None
-        Modal phase collinearity of the measured shapes, if they were complex.
+        Modal phase collinearity of the measured shapes; None unless they were complex.
     """
 
     labels: tuple[str, ...]
@@ -80,15 +80,15 @@ class InitialModes:
         object.__setattr__(self, "_column", columns)
 
     def of(self, k: int) -> ComputedMode:
-        """Return the computed mode that is paired with the measured mode with index `k`."""
+        """Return the computed mode that is paired with measured mode `k` (an index from 0)."""
         return self.modes[self._column[k]]
 
     def error_percent(self, k: int) -> float:
-        """Return the relative error of the frequency computed for the measured mode with index `k`, in %."""
+        """Return the relative error of the frequency computed for measured mode `k` (an index from 0), in %."""
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def subspace_mac(self, k: int) -> float:
-        """Return the subspace MAC of the group of close modes with measured mode `k`; NaN without a group."""
+        """Return the subspace MAC of the group of close modes around measured mode `k`; NaN without a group."""
         return np.nan if self.correlation is None else self.correlation.subspace.get(k, np.nan)
 
     def table(self) -> pd.DataFrame:
@@ -122,7 +122,7 @@ class InitialModes:
 
 
 def initial_modes(problem: UpdatingProblem) -> InitialModes:
-    """Solve the full model of a problem at its starting point; return its modes, paired with the measured ones.
+    """Solve a problem's full model at its starting point; return its modes, paired with the measured ones.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
 
 
 def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
-    """Return warnings about the shapes and sensors of each of several tests, for at most `_MOST_TESTS` tests."""
+    """Return warnings about mode shapes and sensors of several tests, for at most `_MOST_TESTS` tests."""
     model = problem.model
     if model.n_tests == 1 or problem.data.shapes is None or not model.gives_shapes:
         return []
@@ -214,7 +214,7 @@ def _of_function(
     labels: tuple[str, ...],
     measured: FloatArray,
 ) -> InitialModes:
-    """Return the modes that a function computes, in its own order, and their pairing."""
+    """Return the modes that a user's function computes, in its own order, and their pairing."""
     answer = function.at(point)
     alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
@@ -239,14 +239,14 @@ def _of_function(
 
 
 def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
-    """Compare the measured shapes with the paired computed shapes, (n_sensors, n_modes)."""
+    """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes)."""
     sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)
     return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
 
 
 def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
-    """Return `found` with the MPC, and with the warnings and notes from comparing the shapes."""
+    """Return `found` with the MPC, and with warnings and notes from comparing the mode shapes."""
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
@@ -276,7 +276,7 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution,
 def _find_seen(
     model: PairedStructure, shapes: FloatArray, observation: csr_array | None, eigenvalues: FloatArray
 ) -> BoolArray:
-    """Return whether each mode moves a sensor, by `reference_modes`."""
+    """Return a mask of the modes that move a sensor, as `reference_modes` defines it."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)
     elastic = ~is_rigid(eigenvalues)
@@ -285,11 +285,11 @@ def _find_seen(
 
 
 def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> list[str]:
-    """Return a description of the two directions with the largest shares of each mode's kinetic energy.
+    """Describe the two directions with the largest fractions of each mode's kinetic energy, one text per mode.
 
-    The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. The terms of M that couple directions,
-    such as displacement and rotation in a consistent mass matrix, are assigned to neither: φ_dᵀ (Mφ)_d, which
-    includes them, can exceed the total energy.
+    The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. Terms of M that couple directions, such as
+    displacement and rotation in a consistent mass matrix, are assigned to neither: φ_dᵀ (Mφ)_d, which includes
+    them, can exceed the total energy.
     """
     directions = np.array([direction for _, direction in model.structure.dofs])
     names = [str(name) for name in dict.fromkeys(directions)]
@@ -311,7 +311,7 @@ _OF_PAIRS = ("measured, Hz", "error", "MAC", "subspace MAC", "MPC")
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
-    """Return a table of text with one row per computed mode, and dashes in cells that do not apply.
+    """Return a text table with one row per computed mode, and dashes in cells that do not apply.
 
     Three or more successive rigid-body modes share a row, and so do three or more that move no sensor.
     """

@@ -1,4 +1,4 @@
-"""Measured frequency response functions, compared with the model before updating."""
+"""Measured FRFs, compared with the model before updating."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFRFs:
-    """Measured frequency response functions, with the same functions computed by the model before updating.
+    """Measured FRFs of all tests, with the same FRFs computed by the model before updating.
 
     Attributes
     ----------
     tests : tuple of MeasuredInTest
-        One for each test with such functions.
+        One entry for each test with FRFs.
     """
 
     tests: tuple[MeasuredInTest, ...]
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings of measurements that may have the wrong kind, polarity or position, one sentence each."""
+        """Warnings about measurements that may have the wrong kind, polarity or position, one sentence each."""
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.doubts())
 
     @property
@@ -44,19 +44,19 @@ class MeasuredFRFs:
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.notes)
 
     def table(self) -> pd.DataFrame:
-        """Return one row of text per FRF: lines in use and held out, relative error, and FRAC with the model."""
+        """Return a text table with one row per FRF: lines used and held out, relative error, and FRAC."""
         names = [f"{one.of_test}{label}" for one in self.tests for label in one.data.labels]
         return data_frame([row for one in self.tests for row in one.rows()], "FRF", names)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredInTest:
-    """The measured functions of a test, with the same functions computed by the model before updating.
+    """One test's measured FRFs, with the same FRFs computed by the model before updating.
 
     Attributes
     ----------
     of_test : str
-        Prefix of the names of the functions: the test and a colon, or nothing for a single test.
+        Prefix of the FRF names: the test's name and a colon, or nothing for a single test.
     data : FRFData
     computed : ndarray of complex, shape (n_frfs, n_lines)
         In the units of the data; NaN at lines that are neither used nor held out.
@@ -68,14 +68,14 @@ class MeasuredInTest:
 
     @classmethod
     def of(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
-        """Return the measured functions of `term`, and the model's at the parameters (1, n_own) of this term."""
+        """Return the measured FRFs of `term` and the model's, at the parameters `own` (1, n_own) of this term."""
         there = term.data.used | held_out(term.data)
         computed = np.full(there.shape, np.nan, dtype=complex)
         computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]
         return cls(term.of_test, term.data, computed)
 
     def rows(self) -> list[dict[str, str]]:
-        """Return a list with the row of each function in the table."""
+        """Return the table row of each FRF."""
         measured, used = np.asarray(self.data.values), self.data.used
         receptance = self.data.as_receptance()
         rows = []
@@ -97,6 +97,6 @@ class MeasuredInTest:
 
 
 def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
-    """Return the measured FRFs of a problem and the model's at the starting point; None if there are none."""
+    """Return a problem's measured FRFs and the model's at the starting point, or None if there are none."""
     found = tuple(MeasuredInTest.of(*one) for one in problem.responses_at(problem.start[None]))
     return MeasuredFRFs(found) if found else None

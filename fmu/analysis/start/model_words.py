@@ -1,4 +1,4 @@
-"""Descriptions of the model of a problem and of what each parameter changes, in words."""
+"""Descriptions in words of a problem's model and of what each parameter changes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAME_MASS = 1.1
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Return sentences on the model of a problem: its size, decoupled blocks, mass and reduced model."""
+    """Return sentences on a problem's model: its size, decoupled blocks, mass and reduced model."""
     model = structure_of(problem.model)
     if len(problem.tests) > 1:
         n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))
@@ -53,15 +53,15 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def _describe_held(problem: UpdatingProblem) -> list[str]:
-    """Return a list with a sentence on the parameters that are not updated; an empty list without them."""
+    """Return a sentence, in a list, on the parameters that are not updated; empty if there are none."""
     held = [f"{p.name} = {with_unit(p.start, p.unit)}" for p in problem.layout.structural if not p.updated]
     return [f"Not updated: {', '.join(held)}."] if held else []
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, starting value, bounds, prior in words, and the matrices it changes.
+    """Return a table of the parameters: unit, starting value, bounds, prior, and the quantities changed, in words.
 
-    The scores of tests in a population are omitted, because all of them are standard normal.
+    The test scores of a population are omitted, because all of them are standard normal.
     """
     rows, listed = [], _find_listed(problem)
     for k in listed:
@@ -83,7 +83,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def _beside_structure(problem: UpdatingProblem, k: int) -> str:
-    """Return the quantity outside the structure that the k-th parameter (from 0) changes; else empty."""
+    """Return the quantity outside the structure that parameter `k` (an index from 0) changes; otherwise empty."""
     roles = {
         p.name: role
         for term in problem.likelihood.responses
@@ -95,7 +95,7 @@ def _beside_structure(problem: UpdatingProblem, k: int) -> str:
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and a list with the colour of each row of `parameter_table`.
+    """Return the structure as SVG, and the colour of each row of `parameter_table`.
 
     Without a drawing, the SVG is empty and each colour is None.
     """
@@ -109,12 +109,12 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
 
 
 def _find_listed(problem: UpdatingProblem) -> list[int]:
-    """Return the indices of all parameters except the scores of tests in a population."""
+    """Return the indices of all parameters except the test scores of populations."""
     return [k for k, role in enumerate(problem.roles) if role.kind != "score"]
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
-    """Return a list with a sentence on the mass that moves if all free degrees of freedom translate together.
+    """Return a sentence, in a list, on the mass that moves if all free degrees of freedom translate together.
 
     This mass is a check on units and densities. Next to a support the translation bends the elements, whose rotary
     inertia adds to the transverse mass. If the masses in all directions agree within 10 %, only the smallest is
@@ -140,7 +140,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 
 
 def _changes(structure: SeparableModel, j: int) -> str:
-    """Return the description of what parameter `j` changes: ``"stiffness of 10 of 50 elements"``."""
+    """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``."""
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
     for kind, terms in (("stiffness", structure.K_terms), ("mass", structure.M_terms)):

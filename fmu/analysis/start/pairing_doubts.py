@@ -1,4 +1,4 @@
-"""Warnings about the pairing of computed with measured modes, and notes on it."""
+"""Warnings about pairing computed with measured modes, and notes on it."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from fmu.numbers import apart, fixed, share
 from fmu.types import BoolArray, FloatArray
 
 RIVAL = 0.1
-"""The MAC of the paired mode should exceed the MAC of any other mode by this much."""
+"""Smallest amount by which the paired mode's MAC should exceed any other mode's MAC."""
 
 
 @dataclass(frozen=True)
 class ComputedMode:
-    """A mode of the model.
+    """A computed mode.
 
     Attributes
     ----------
     number : int or None
-        Number in the sorted spectrum, from 1; None if the model computes paired frequencies only.
+        Number in the sorted spectrum, from 1; None if the model computes only paired frequencies.
     frequency_hz : float
     measured : int or None
         Index of the paired measured mode; None if the mode is not paired.
@@ -45,7 +45,7 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings about measured shapes that match no computed mode, or two, by MAC (n_modes, n_computed).
+    """Return warnings about measured shapes whose MAC (n_modes, n_computed) matches no computed mode, or two.
 
     Close modes whose subspace matches the measured one are skipped.
     """
@@ -72,7 +72,7 @@ def unlike(
 def close(
     labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
-    """Return warnings about close computed modes.
+    """Return warnings about computed modes that are close in frequency.
 
     Unless modes are paired by number, close modes that move no sensor are ignored.
     """
@@ -93,7 +93,7 @@ def close(
 
 
 def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
-    """Return a list with a warning if the paired modes are not in the order of the measured frequencies."""
+    """Return a warning, in a list, if the paired modes are not in the order of the measured frequencies."""
     order = np.argsort(measured, kind="stable")
     numbers = [paired[k] for k in order]
     if numbers == sorted(numbers):
@@ -131,7 +131,7 @@ def note_unmeasured(found: Sequence[ComputedMode]) -> list[str]:
 
 
 def ranges(numbers: Sequence[int]) -> str:
-    """Return ascending numbers in words, with runs of three or more as ranges: ``"1, 2, 5–9"``."""
+    """Format ascending numbers, with runs of three or more as ranges: ``"1, 2, 5–9"``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and runs[-1][-1] == number - 1:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 FAR = 2.0
-"""A measurement more than this many standard deviations from the prior prediction is far from it."""
+"""Number of standard deviations beyond which a measurement is far from its prior prediction."""
 INTERVAL = 0.9
 DRAWS = 200
 
@@ -47,13 +47,13 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """The frequencies; NaN if there are fewer than two draws, whose standard deviation is undefined."""
+        """The frequencies, or NaN if there are fewer than two draws, whose standard deviation is undefined."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 
     @property
     def mean(self) -> FloatArray:
-        """Mean of the computed frequencies over the prior, Hz, shape (n_modes,)."""
+        """Prior mean of the computed frequencies, Hz, shape (n_modes,)."""
         return np.asarray(self._drawn.mean(axis=0))
 
     @property
@@ -63,17 +63,17 @@ class PriorPrediction:
 
     @property
     def interval(self) -> FloatArray:
-        """Ends of the 90 % interval of the computed frequencies, Hz, shape (2, n_modes)."""
+        """90 % interval ends of the computed frequencies, Hz, shape (2, n_modes)."""
         return np.asarray(np.quantile(self._drawn, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
 
     @property
     def distance(self) -> FloatArray:
-        """Measured frequency minus the mean prediction, in standard deviations, (n_modes,)."""
+        """Measured frequency minus the mean prediction, in standard deviations, shape (n_modes,)."""
         return np.asarray((self.measured - self.mean) / self.sd)
 
     @property
     def is_far(self) -> BoolArray:
-        """Whether each measured frequency is far from its prior prediction, shape (n_modes,)."""
+        """Mask of the measured frequencies that are far from their prior prediction, shape (n_modes,)."""
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
     def sentences(self) -> list[str]:
@@ -103,7 +103,7 @@ class PriorPrediction:
     def table(self) -> pd.DataFrame:
         """Return a table with one row per mode.
 
-        The columns are ``measured``, ``mean``, ``sd`` and the ends of the interval, all in Hz, and ``distance`` in
+        The columns are ``measured``, ``mean``, ``sd`` and the interval ends, all in Hz, and ``distance`` in
         standard deviations.
         """
         lower, upper = self.interval
@@ -151,9 +151,9 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
 def _noise_sd(
     problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the standard deviations of the frequency errors, (n_modes,), averaged over the prior if inferred.
+    """Return the frequency errors' standard deviations, (n_modes,); inferred ones are averaged over the prior.
 
-    They are NaN if the error model has no errors of frequencies.
+    They are NaN if the error model has no frequency errors.
     """
     if problem.likelihood.error is not None:
         return np.asarray(problem.likelihood.error.sd)

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 BY_TEST = "loss_by_test"
-"""Group of a trace with the losses in each test, for damage at an unknown date."""
+"""Name of the trace group with each test's losses, for damage at an unknown date."""
 ANY = "any"
-"""Name of the row with the largest loss in a state."""
+"""Row name for the largest loss in a state."""
 WITHHELD = "withheld"
-"""Text for a probability that is not given, and the attribute of a table with the reason."""
+"""Text for a probability that is not given, and name of the table attribute with the reason."""
 
 
 def probably(p: float) -> str:

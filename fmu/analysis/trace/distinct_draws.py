@@ -11,9 +11,9 @@ from fmu.progress.phases import by_parts
 from fmu.types import FloatArray, IntArray
 
 BATCH = 4096
-"""Largest number of draws passed to the model at a time, which bounds the memory of one batched solve."""
+"""Largest number of draws passed to the model at a time, which limits the memory of one batched solve."""
 _NUMBERS = 2**18
-"""Largest number of parameters of these draws together, because a problem of many tests has many of them."""
+"""Largest total number of parameter values in a batch, because a problem with many tests has many parameters."""
 
 
 def batch_of(theta: FloatArray) -> int:

@@ -12,7 +12,7 @@ from fmu.numbers import share
 from fmu.posterior.failures import Failure
 
 ENOUGH_SOLVES = 200
-"""With fewer solves a failure rate is unreliable, because chains may start where the model fails."""
+"""Smallest number of solves that gives a reliable failure rate, because chains may start where the model fails."""
 
 
 class FailedSolves(NamedTuple):

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima
 
 GROUP, BLOBS = "emcee", "blobs"
-"""Groups of a trace for the statistics of emcee and for its blobs."""
+"""Names of the trace groups for emcee's statistics and for its blobs."""
 _CHECKED = 5
-"""Number of draws at which the stored log-probability is compared with the problem."""
+"""Number of draws at which the stored log-probability is compared with the problem's."""
 _SLACK = 1e-6
-"""Largest difference, relative to its size or to 1, that rounding on another processor may cause."""
+"""Largest relative difference (absolute below 1) that rounding on another processor may cause."""
 
 
 @check_arguments

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 GROUP = "misfit"
-"""Group of a trace that stores the squared residuals."""
+"""Name of the trace group that stores the squared residuals."""
 QUANTITIES = "quantities"
-"""Group of a trace with the data other than modes, such as a weighed mass."""
+"""Name of the trace group with data other than modes, such as a weighed mass."""
 TAILS = np.logspace(-6.0, 0.0, 121)
-"""Upper tail probabilities at which quantiles of the prior of an inferred standard deviation are stored."""
+"""Upper tail probabilities at which prior quantiles of an inferred standard deviation are stored."""
 
 
 def misfit_group(

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 GROUP = "modes"
 _STRUCTURE = "structure"
-"""Group of a trace of several tests that stores the drawing of the structure."""
+"""Name of the trace group that stores the drawing of the structure if there are several tests."""
 START, MEAN, MAXIMUM = "start", "posterior mean", "maximum"
 MEASURED = "measured shapes, at the sensors"
-"""Reference of the MAC if shapes were measured."""
+"""MAC reference if shapes were measured."""
 _AXES = ("x", "y", "z")
 _MOST_COMPONENTS = 40
 """Largest number of translations stored for a structure without geometry.

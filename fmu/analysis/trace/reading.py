@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 MANY = 30
-"""Largest number of parameters that a table or a figure shows including scores of tests."""
+"""Largest number of parameters for which a table or a figure includes test scores."""
 LOSSES = "loss"
-"""Group of a trace with the losses of parameters between groups of tests."""
+"""Name of the trace group with parameter losses between groups of tests."""
 IMPORTED = "imported"
-"""Attribute of a trace with the name of the other library that made the draws."""
+"""Trace attribute that names the other library that made the draws."""
 
 
 def check_trace(trace: object, origin: str = "trace") -> None:
