@@ -1,4 +1,4 @@
-"""Decoupled parts of a structure, full or reduced, and the modes of their eigenproblems."""
+"""Decoupled blocks of a structure, full or reduced, and the modes of their eigenproblems."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Solved = dict[int, tuple[FloatArray, FloatArray]]
 
 
 class BlockPrediction(NamedTuple):
-    """Modes of one block as seen by the sensors.
+    """Predicted modes of one block at the sensors.
 
     Attributes
     ----------
@@ -36,12 +36,12 @@ class BlockPrediction(NamedTuple):
 
 
 class Block:
-    """One decoupled part of a structure: an independent eigenproblem, full or reduced.
+    """A decoupled block of a structure: an independent eigenproblem, full or reduced.
 
     Parameters
     ----------
     dofs : ndarray of int, shape (n,)
-        Indices of the block's degrees of freedom in the model.
+        The model's degrees of freedom that belong to the block, by index.
     K_terms, M_terms : sequence of Term
         Stiffness and mass terms of the block.
 
@@ -74,7 +74,7 @@ class Block:
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest eigenvalues (n, count), (rad/s)², and mass-normalised shapes (n, size, count).
 
-        Both belong to theta (n, n_parameters); they are NaN where the solver fails.
+        Both are for theta (n, n_parameters), and are NaN where the solver fails.
         """
         raise NotImplementedError
 
@@ -83,7 +83,7 @@ class Block:
         return self.modes(theta, count)[0]
 
     def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂λ/∂θ, shape (n, m, n_parameters), of modes from `modes` (Fox & Kapoor 1968, eq. 5).
+        """Return ∂λ/∂θ, shape (n, m, n_parameters), for modes from `modes` (Fox & Kapoor 1968, eq. 5).
 
         ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1; for simple eigenvalues.
         """
@@ -95,7 +95,7 @@ class Block:
     def eigenvalue_curvature(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, d: FloatArray, slopes: FloatArray | None = None
     ) -> FloatArray:
-        """Return the derivative of the gradient of each eigenvalue along a direction of its own.
+        """Differentiate the gradient of each eigenvalue along its own direction d.
 
         With the derivatives ∂_d along d, of λ, of φ and of the matrices,
 
@@ -109,12 +109,12 @@ class Block:
         d : ndarray, shape (n, m, n_parameters)
             Directions for the lowest m modes.
         slopes : ndarray, shape (n, size, m, n_parameters), optional
-            ∂φ/∂θ of these modes, if known from `shape_curvature`.
+            ∂φ/∂θ for these modes, if known from `shape_curvature`.
 
         Returns
         -------
         ndarray, shape (n, m, n_parameters)
-            H_i d_i, with the matrix H_i of the second derivatives of λ_i. It does not depend on modes whose
+            H_i d_i, with the matrix H_i of second derivatives of λ_i. It does not depend on modes whose
             eigenvalues are equal to λ_i (`fmu.fem.modes.derivatives`).
         """
         own, value = phi[:, :, : d.shape[1]], lam[:, : d.shape[1], None]
@@ -142,16 +142,17 @@ class Block:
     def shape_curvature(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, left: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_j left_jᵀ ∂²φ/∂θ_j∂θ of the lowest m modes, (n, m, n_parameters), and ∂φ/∂θ of these modes.
+        """Return Σ_j left_jᵀ ∂²φ/∂θ_j∂θ for the lowest m modes, (n, m, n_parameters), and their ∂φ/∂θ.
 
         With A = K − λM, A_j = ∂A/∂θ_j and φ_j = ∂φ/∂θ_j, the second derivatives solve
 
         A φ_jk = −(A_j φ_k + A_k φ_j + A_jk φ),
         φᵀM φ_jk = −(φ_jᵀM φ_k + φᵀ∂_jM φ_k + φᵀ∂_kM φ_j + ½ φᵀ∂_jkM φ).
 
-        One adjoint y_j of each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0, which is a
-        derivative of a shape with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is −y_jᵀ times the right side of the
-        first equation plus φᵀleft_j times that of the second. As y_jᵀMφ = 0, the second derivatives of λ vanish.
+        One adjoint y_j for each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0, which is
+        a shape derivative with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is −y_jᵀ times the right side of the
+        first equation plus φᵀleft_j times the right side of the second. As y_jᵀMφ = 0, the second derivatives of λ
+        vanish.
 
         Parameters
         ----------
@@ -199,69 +200,75 @@ class Block:
         return found, turned
 
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
-        """Return the products leftᵀ K_k φ, or leftᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m).
+        """Return leftᵀ K_k φ for every term k, or leftᵀ M_k φ if `of_mass`, shape (n, n_terms, m).
 
-        `left` has the shape (n, size, m); it is φ by default.
+        `left` has shape (n, size, m) and defaults to φ.
         """
         raise NotImplementedError
 
     def _apply(self, phi: FloatArray, weights: FloatArray, of_mass: bool) -> FloatArray:
         """Return Σ_k weights[:, k] K_k φ, or Σ_k weights[:, k] M_k φ if `of_mass`, shape (n, size, m).
 
-        The `weights` have the shape (n, n_terms, m).
+        The `weights` have shape (n, n_terms, m).
         """
         raise NotImplementedError
 
     def _products(self, x: FloatArray, of_mass: bool) -> FloatArray:
-        """Return K_k x, or M_k x if `of_mass`, of every term, (n, n_terms, size, m), for x (n, size, m)."""
+        """Return K_k x for every term k, or M_k x if `of_mass`, (n, n_terms, size, m), for x (n, size, m)."""
         raise NotImplementedError
 
     def _sum_products(self, x: FloatArray, of_mass: bool) -> FloatArray:
-        """Return Σ_k K_k x_k, or Σ_k M_k x_k if `of_mass`, with shape (n, size, m).
+        """Return Σ_k K_k x_k, or Σ_k M_k x_k if `of_mass`, shape (n, size, m).
 
-        `x` has the shape (n, n_terms, size, m).
+        `x` has shape (n, n_terms, size, m).
         """
         raise NotImplementedError
 
     def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
-        """Return Σ_p left_pᵀ K_k right_p, or with M_k if `of_mass`, (n, n_terms, m), from (n, size, m, q)."""
+        """Return Σ_p left_pᵀ K_k right_p for every term k, or with M_k if `of_mass`, shape (n, n_terms, m).
+
+        `left` and `right` have shape (n, size, m, q), and p counts the q columns.
+        """
         raise NotImplementedError
 
     def _shape_slopes_along(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
     ) -> FloatArray:
-        """Return the derivatives of shapes along directions d, given ∂_dK φ and ∂_dM φ, each (n, size, m, q).
+        """Return derivatives of the shapes along directions d, given ∂_dK φ and ∂_dM φ, each (n, size, m, q).
 
         Each of the m lowest modes has q directions.
         """
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:
-        """Return the block reduced to the leading share of its basis; the block itself if it is not reduced."""
+        """Return the block with only the leading share of its reduced basis; the block itself if not reduced."""
         return self
 
     def coordinates(self, rows: sp.csr_array) -> Matrix:
-        """Return sensor rows (n_sensors, n) on degrees of freedom as sensor rows on the block's unknowns."""
+        """Convert sensor rows (n_sensors, n) for degrees of freedom to sensor rows for the block's unknowns."""
         return rows
 
     def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
-        """Return fewer rows, from `coordinates`, and references (_, n_modes) with equal norms and products."""
+        """Replace rows and reference shapes by fewer rows with the same norms and inner products.
+
+        `rows` come from `coordinates`. The references returned have shape (_, n_modes).
+        """
         return rows, reference
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return rows of the coordinates of comparison on the block's unknowns, and the references there.
+        """Return the comparison coordinates as rows for the block's unknowns, and the reference shapes there.
 
         Parameters
         ----------
         rows : sparse, shape (q, n)
-            Coordinates of comparison as rows on the block's degrees of freedom.
+            Comparison coordinates as rows for the block's degrees of freedom.
         reference : ndarray, shape (q, n_modes)
-            Reference shapes at the coordinates of comparison.
+            Reference shapes at these coordinates.
         """
         return self.compress_rows(self.coordinates(rows), reference)
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return the number of modes that `seen` needs for `count` modes, with derivatives if `gradient`."""
+        """Return how many modes `seen` must solve for to give `count` modes, with derivatives if `gradient`."""
         return count
 
     def seen(
@@ -294,12 +301,12 @@ class Block:
     def _slopes_seen(
         self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return ∂λ (n, count, n_parameters) and ∂φ at the sensors (n, n_sensors, count, n_parameters)."""
+        """Return ∂λ (n, count, n_parameters), and ∂φ at the sensors (n, n_sensors, count, n_parameters)."""
         raise NotImplementedError
 
 
 def shapes_at(rows: Matrix, phi: FloatArray) -> FloatArray:
-    """Return shapes (n, size, m) at sensors, (n, n_sensors, m), for sensor rows (n_sensors, size)."""
+    """Return the components of shapes (n, size, m) at sensors with rows (n_sensors, size), (n, n_sensors, m)."""
     if not sp.issparse(rows):
         return np.asarray(rows @ phi)
     # a sparse matrix multiplies the shapes of one theta at a time

@@ -1,4 +1,4 @@
-"""Known changes of a structure between tests: added masses and springs, and parameters of known value."""
+"""Known changes to a structure between tests: added masses and springs, and parameters with known values."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _TRANSLATIONS = ("x", "y", "z")
 @check_arguments
 @dataclass(frozen=True)
 class Change:
-    """A known change of the structure for one more test.
+    """A known change to the structure for one more test.
 
     Attributes
     ----------
     masses : mapping of place to float, kg
-        Added point masses; a negative mass was taken away.
+        Added point masses; a negative mass was removed.
     springs : mapping of (place, direction) to float, N/m or N·m/rad
         Added springs to the ground, such as a support.
     """
@@ -40,7 +40,7 @@ def changed_model(
     springs: Mapping[tuple[Any, str], float] | None = None,
     known: Mapping[int, float] | None = None,
 ) -> SeparableModel:
-    """Return a structure with masses and springs added, and with some parameters replaced by their known values.
+    """Add masses and springs to a structure, and replace some parameters by known values; return a new model.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def changed_model(
     springs : mapping of (place, direction) to float, N/m or N·m/rad
         Springs to the ground; a negative stiffness is a spring that was removed.
     known : mapping of int to float
-        Values of parameters by index (from 0); the model returned does not have these parameters.
+        Known parameter values by index (from 0); the new model does not have these parameters.
 
     Returns
     -------
@@ -101,12 +101,12 @@ def changed_model(
 
 
 def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
-    """Return size · RᵀR, the matrix of a mass or a spring that moves as the rows R describe."""
+    """Return size · RᵀR, the matrix of a mass or spring whose motion is given by the rows R."""
     return sp.csr_array(size * (rows.T @ rows))
 
 
 def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
-    """Return terms in the kept parameters only; the other parameters have the values in `at` (1, n_parameters)."""
+    """Return terms that depend only on the `kept` parameters; the others are fixed at `at` (1, n_parameters)."""
     gone = [j for j in range(at.shape[1]) if j not in kept]
     found = []
     for term in terms:

@@ -12,10 +12,9 @@ equations with one component of ∂φ fixed.
 Shapes of repeated eigenvalues have no derivative, because any rotation among these shapes gives modes too. Between
 eigenvalues closer than `REPEATED` the rotation is omitted. Between eigenvalues that are slightly further apart the
 rotation is large, and correctly so: the closer two modes are, the faster their shapes rotate into each other. For
-two eigenvalues λ that differ by δλ the slopes are of the order of λ/δλ. The relative error of the slopes is the
-rounding error times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4 apart, if the highest eigenvalue
-is below about 10⁶ times λ. A basis with a relative error ε in frequency gives shapes with an error of ε divided by
-the gap.
+two eigenvalues λ that differ by δλ the derivatives are of the order of λ/δλ. Their relative error is the rounding
+error times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4 apart, if the highest eigenvalue is below
+about 10⁶ times λ. A basis with a relative error ε in frequency gives shapes with an error of ε divided by the gap.
 
 Second derivatives of an eigenvalue contain these rotations and are of the order of λ²/δλ. Between eigenvalues
 closer than `CLOSE` the rotation is omitted there, because rounding may exceed it; the steps of samplers are far
@@ -40,7 +39,7 @@ CLOSE = 1e-7
 def by_all_modes(
     lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int, repeated: float = REPEATED
 ) -> FloatArray:
-    """Return ∂φ of the lowest `count` modes as sums over all modes.
+    """Return ∂φ for the lowest `count` modes as sums over all modes.
 
     Parameters
     ----------
@@ -51,7 +50,7 @@ def by_all_modes(
     dK, dM : ndarray, shape (n, r, count, n_parameters)
         φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i.
     repeated : float
-        Share of the larger eigenvalue below which a difference of two counts as none.
+        Relative difference below which two eigenvalues count as repeated.
 
     Returns
     -------
@@ -78,7 +77,7 @@ def by_bordered_system(
     dM_phi: FloatArray,
     beside: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ∂φ, shape (size, n_parameters), and ∂λ, shape (n_parameters,), of one mode.
+    """Return ∂φ, shape (size, n_parameters), and ∂λ, shape (n_parameters,), for one mode.
 
     Parameters
     ----------
@@ -122,7 +121,7 @@ def by_bordered_system(
 def by_bordered_matrices(
     K: FloatArray, M: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
 ) -> FloatArray:
-    """Return ∂φ of one mode of each of n pairs of small matrices, shape (n, r, n_parameters).
+    """Return ∂φ for one mode of each of n small matrix pairs, shape (n, r, n_parameters).
 
     Parameters
     ----------

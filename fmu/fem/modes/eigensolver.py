@@ -6,11 +6,11 @@ unit matrix instead, and the largest μ = 1/λ of M φ = μ K φ are computed. T
 relative to the lowest mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the other
 degrees of freedom statically.
 
-A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, from the
+A free structure has a singular K. Its strain-free motions N, with K N = 0, are found from K alone, from the
 eigenvalues of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
-distinguish a rigid motion from the motion of a soft part: the strain energy of a rigid motion must also be
-rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid modes. Let
-P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough degrees of freedom are held to
+distinguish a rigid-body motion from the motion of a soft part. The strain energy of a rigid-body motion must also
+be mere rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid-body
+modes. Let P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough of them are fixed to
 make the structure statically determinate. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
@@ -51,14 +51,14 @@ _CAUTION = 10.0
 
 
 class SingularMassError(ValueError):
-    """Error raised if an eigenproblem has no solution, because of K, M or the solver."""
+    """Raised when an eigenproblem cannot be solved, because of K, M or the solver."""
 
 
 def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
-    """Return the factors of A from `unit_diagonal`; None if A is not positive definite by more than rounding.
+    """Factorise a matrix A scaled by `unit_diagonal`; return None unless it is clearly positive definite.
 
-    Entries of a large matrix that are stored, but zero, are left out: its factors are kept and used again, and no
-    bit of them may depend on the way in which the matrix was summed.
+    Explicit zeros in a large matrix are removed first: its factors are stored and reused, and no bit of them may
+    depend on how the matrix was summed.
     """
     if sp.issparse(S) and S.shape[0] >= LARGE:
         S = sp.csr_array(S, copy=True)
@@ -90,7 +90,7 @@ def eigen(
     finite : int, optional
         Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to obtain it.
     factored : callable
-        Returns what `clear_factor` returns, perhaps kept factors.
+        Returns the same as `clear_factor`, perhaps from stored factors.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the modes for a K with unit diagonal; both matrices are dense or both are sparse."""
+    """Return the lowest modes for a K scaled to a unit diagonal; both matrices are dense or both are sparse."""
     if clear is not None:
         factor = clear.scaled
     else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
@@ -143,13 +143,13 @@ def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> 
 
 
 def _is_strained(S: Matrix, X: FloatArray) -> BoolArray:
-    """Return a mask of the motions (n, m) whose energy exceeds rounding: such motions are soft, not rigid."""
+    """Return a mask of the motions in X (n, m) whose strain energy exceeds rounding: they are soft, not rigid."""
     sizes = np.sum(np.abs(X) * (abs(S) @ np.abs(X)), axis=0)
     return np.asarray(np.sum(X * (S @ X), axis=0) > _STRAINED * 0.5 * np.finfo(float).eps * sizes)
 
 
 def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the modes of a structure with motions N (n, r) without strain, Nᵀ M N = 1."""
+    """Return the lowest modes of a structure with strain-free motions N (n, r), where Nᵀ M N = 1."""
     n, r = N.shape
     if count <= r:
         return np.zeros(count), N[:, :count]
@@ -178,7 +178,7 @@ def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArra
 
 
 def _definite(matrix: Matrix) -> Factor:
-    """Return the factors of a positive definite matrix; LinAlgError if the matrix is not definite."""
+    """Factorise a positive definite matrix. Raise LinAlgError if it is not definite."""
     factor = factorise(matrix)
     if factor.negative:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
@@ -186,7 +186,7 @@ def _definite(matrix: Matrix) -> Factor:
 
 
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
-    """Return True if A, given by its factors, is positive definite by more than rounding.
+    """Return True if a factorised matrix A is positive definite by more than rounding.
 
     `scale` is the diagonal of D for which D A D has a unit diagonal.
     """
@@ -203,7 +203,7 @@ def _start(n: int) -> FloatArray:
 
 
 def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
-    """Return the factors of S + s M, with a shift s that makes the sum definite if K is negative."""
+    """Factorise S + s M, with a shift s that makes the sum definite although S is not."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
@@ -214,7 +214,7 @@ def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
 
 
 def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
-    """Return a basis of the columns of N with Nᵀ M N = 1."""
+    """Return an M-orthonormal basis of the columns of N. Raise SingularMassError if a column moves no mass."""
     G = N.T @ (M @ N)
     if np.linalg.eigvalsh(G)[0] <= ZERO * np.trace(G):
         raise SingularMassError("a motion without strain moves no mass")
@@ -222,7 +222,10 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
-    """Return the eigenvectors (n, count) of the highest μ of M x = μ A x, highest first, from A's factors."""
+    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, highest first.
+
+    `factor` contains the factors of A.
+    """
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
@@ -238,9 +241,9 @@ def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
 
 
 def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count: int) -> FloatArray:
-    """Return the eigenvectors of `_highest` by Lanczos iterations of A⁻¹ M.
+    """Return the same eigenvectors as `_highest`, by Lanczos iterations with A⁻¹ M.
 
-    The start vector is fixed, so that results are repeatable.
+    The starting vector is fixed, so that results are repeatable.
     """
     n = M.shape[0]
     with_mass = np.flatnonzero(M.diagonal() > 0.0)
@@ -262,10 +265,10 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count:
 def _polish(
     S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Rayleigh quotients and mass-normalised vectors of a space that is given lowest mode first.
+    """Return the Rayleigh quotients and mass-normalised vectors of the space of X.
 
-    The inverse problem gives high modes less accurately; these are replaced by the Ritz vectors of the space that
-    they span.
+    The columns of X start with the lowest mode. The inverse problem gives high modes less accurately; they are
+    replaced by the Ritz vectors of their span.
     """
     lam, X = rayleigh_quotients(S, M, X, elastic)
     if not np.all(np.isfinite(lam)):
@@ -315,7 +318,10 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 def _all_below_zero(
     solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues and vectors, in growing numbers from `solve`, until the last is not zero."""
+    """Call `solve` for more and more of the lowest eigenpairs until the last eigenvalue is above zero.
+
+    At most `most` eigenpairs are requested.
+    """
     count = min(_AT_ONCE, most)
     lam, vectors = solve(count)
     while lam[-1] < ZERO and count < most:
@@ -329,8 +335,8 @@ def rank(matrix: Matrix) -> int:
 
     The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
     as in solids with reduced integration, and an iteration that searches for all of them would not end. With a
-    unit diagonal, eigenvalues within ±`NEGATIVE` count as zero, because exported digits leave zero eigenvalues
-    there.
+    unit diagonal, eigenvalues within ±`NEGATIVE` count as zero, because a matrix exported with few digits has zero
+    eigenvalues only to that accuracy.
 
     Raises
     ------
@@ -359,7 +365,7 @@ def rank(matrix: Matrix) -> int:
 
 
 def is_semidefinite(matrix: sp.csr_array) -> bool:
-    """Return True if a sparse symmetric matrix has no eigenvalue below zero, up to exported digits."""
+    """Return True if a sparse symmetric matrix has no eigenvalue below zero, given the digits of an export."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True
@@ -373,7 +379,7 @@ def is_semidefinite(matrix: sp.csr_array) -> bool:
 
 
 def _is_definite(S: Matrix) -> bool:
-    """Return True if no eigenvalue of a matrix of unit diagonal can be zero."""
+    """Return True if no eigenvalue of a matrix with unit diagonal can be zero."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
         # consistent mass matrices have eigenvalues of at least 1e-3; a smaller one calls for all the lowest
@@ -383,7 +389,7 @@ def _is_definite(S: Matrix) -> bool:
 
 
 def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the `count` eigenvalues of S nearest to `sigma` and their vectors, from the factors of S − sigma."""
+    """Return the `count` eigenvalues of S nearest to `sigma` and their vectors, from factors of S − sigma I."""
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)

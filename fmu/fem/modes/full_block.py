@@ -1,4 +1,4 @@
-"""Decoupled blocks solved in full, one theta at a time, with the derivatives of their modes."""
+"""Decoupled blocks that are solved in full, one theta at a time, with derivatives of their modes."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ def full_blocks(model: SeparableModel) -> tuple[FullBlock, ...]:
 
 
 class FullBlock(Block):
-    """One decoupled part of a structure, unreduced.
+    """A decoupled block of a structure, unreduced.
 
     Parameters
     ----------
     model : SeparableModel
     dofs : ndarray of int
-        Indices of the block's degrees of freedom in the model, one entry of ``model.blocks``.
+        The model's degrees of freedom that belong to the block, one entry of ``model.blocks``.
 
     Attributes
     ----------
     K_terms, M_terms : tuple of Term
     n_modes : int
-        Number of modes with a finite frequency: fewer than `size` where degrees of freedom have no mass.
+        Number of modes with a finite frequency: fewer than `size` if degrees of freedom have no mass.
     constant : bool
         Whether no parameter changes the block.
     """
@@ -72,13 +72,13 @@ class FullBlock(Block):
         self._engine: Engine | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without what is recomputed, and the engine: a worker has no workers."""
+        """Return the state for pickling, without data that are recomputed or the engine, which a worker lacks."""
         kept = {name: value for name, value in self.__dict__.items() if name not in _RECOMPUTED}
         return kept | {"_last": None, "_engine": None}
 
     @cached_property
     def _stacks(self) -> tuple[FloatArray, FloatArray]:
-        """The terms of K and of M of a small block, each an array of shape (n_terms, size, size)."""
+        """Dense stiffness and mass terms of a small block, each an array of shape (n_terms, size, size)."""
         K, M = (np.stack([term.matrix.toarray() for term in terms]) for terms in (self.K_terms, self.M_terms))
         return K, M
 
@@ -97,10 +97,10 @@ class FullBlock(Block):
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
 
-        A large block keeps its last solve at a single theta, because several quantities are needed at the start of
-        a problem. A block that no parameter changes is solved once. From `LARGE` degrees of freedom on, a few
-        modes more are computed for `at_least`. Within `spread_over`, a large block is solved at several theta in
-        the workers of the engine; no bit of a result depends on the engine, or on the other theta.
+        A large block stores its last solve at a single theta, because several quantities are needed at the
+        starting point. A block that no parameter changes is solved only once. From `LARGE` degrees of freedom on,
+        a few extra modes are computed for `at_least`. Within `spread_over`, the engine's workers solve a large
+        block at several theta; no bit of a result depends on the engine or on the other theta.
         """
         times = 1
         if self.constant:
@@ -118,7 +118,7 @@ class FullBlock(Block):
     def at_least(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return `modes` at theta (1, n_parameters): `count` modes, or more if the last solve there gave more.
 
-        Their last digits may thus depend on the solves before, but a solve is saved.
+        This can save a solve, but the last digits may depend on earlier solves.
         """
         last = self._last
         if last is not None and last[0] == theta.tobytes() and last[1].shape[1] >= count:
@@ -126,13 +126,13 @@ class FullBlock(Block):
         return self.modes(theta, count)
 
     def _count_with_further(self, count: int) -> int:
-        """Return the number of modes to compute for a request of `count` modes."""
+        """Return how many modes to compute when `count` modes are requested."""
         return min(count + _FURTHER, self.n_modes) if self.size >= LARGE and count else count
 
     def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
-        """Return the factors of K at theta (n_parameters,), None if K is not clearly definite.
+        """Return the factors of K at theta (n_parameters,), or None if K is not clearly definite.
 
-        A large block keeps the factors of the last theta.
+        A large block stores the factors for the latest theta.
         """
         return self._keep_factor(
             theta, lambda: clear_factor(*unit_diagonal(next(self._add_up(self._K_map, theta[None]))))
@@ -146,7 +146,7 @@ class FullBlock(Block):
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
-        """Within a with block, solve in the workers of an engine what takes long; the results are the same."""
+        """In a ``with`` block, do lengthy solves in an engine's workers; the results are the same."""
         before, self._engine = self._engine, engine
         try:
             yield
@@ -156,20 +156,26 @@ class FullBlock(Block):
     def run_tasks[Shared, Task, Result](
         self, work: Work[Shared, Task, Result], shared: Shared, tasks: Iterable[Task], of_factors: int = 0
     ) -> list[Result]:
-        """Return the results of ``work(shared, task, None)``, by the workers of `spread_over` or in this process.
+        """Run ``work(shared, task, None)`` for each task in the workers of `spread_over`, or in this process.
 
-        A task is made only when a worker is free for it. No more workers are used than fit in the memory.
+        The next task is taken from `tasks` only when a worker is free. The number of workers is limited to those
+        that fit in memory.
 
         Parameters
         ----------
         work : callable
             A function defined at module level, whose result depends on its arguments alone.
         shared : object
-            What all tasks need: the block, or an object that contains it. A worker receives it once.
+            Data that all tasks need: the block, or an object that contains it. It is sent to each worker once.
         tasks : iterable
             No task may be None.
         of_factors : int
-            Bytes of the factors that every worker makes for itself.
+            Bytes of the factors that each worker computes for itself.
+
+        Returns
+        -------
+        list
+            One result per task, in order.
         """
         engine, waiting = self._engine, enumerate(tasks)
         begun = list(islice(waiting, 1 if engine is None else self._workers_that_fit(engine, of_factors)))
@@ -187,7 +193,7 @@ class FullBlock(Block):
         return [found[number] for number in range(len(found))]
 
     def _workers_that_fit(self, engine: Engine, of_factors: int) -> int:
-        """Return the number of workers that have memory for the block and for factors of so many bytes."""
+        """Return how many workers have enough memory for the block and for factors of `of_factors` bytes."""
         free = engine.free_memory()
         if free is None or self.size < LARGE:
             return engine.workers
@@ -195,7 +201,7 @@ class FullBlock(Block):
         return min(engine.workers, free // (needed + of_factors + 8 * self.size * _VECTORS))
 
     def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and shapes (n, size, count); each theta of a large block is a task."""
+        """Return eigenvalues (n, count) and shapes (n, size, count), with one task per theta for a large block."""
         if len(theta) < 2 or self.size <= DENSE_LIMIT:
             return self._solve_each(theta, count)
         kept = None if self._last_factor is None else self._last_factor.factor
@@ -226,7 +232,10 @@ class FullBlock(Block):
     def _solve_together(
         self, theta: FloatArray, has_rank_of_all: BoolArray, lam: FloatArray, phi: FloatArray
     ) -> None:
-        """Write the modes at each theta that one batch of small problems gives into `lam` and `phi`."""
+        """Solve many small problems as one batch, and write their modes into `lam` and `phi`.
+
+        Rows that the batch cannot solve stay NaN.
+        """
         maps = zip(self._stacks, (self._K_map, self._M_map), strict=True)
         K, M = (assemble(terms, matrix.coefficients(theta)) for terms, matrix in maps)
         finite = np.isfinite(K).all(axis=(1, 2)) & np.isfinite(M).all(axis=(1, 2))
@@ -324,13 +333,19 @@ def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> t
 
 
 def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[int, int]:
-    """Return the bytes of a process that has the terms, and that factorises a stiffness, without the factors."""
+    """Return the bytes that a process needs to hold the terms, and to factorise a stiffness as well.
+
+    The factors themselves are not included.
+    """
     stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in ((*K_terms, *M_terms), K_terms))
     return LIBRARIES + stored, LIBRARIES + stored + COPIES * stiffness
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
-    """Return the rank of M, the number of modes of finite frequency, where no term vanishes; None if negative."""
+    """Return the rank of M if no term vanishes, which is the number of modes of finite frequency.
+
+    Returns None if the sum of the terms is not semidefinite.
+    """
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
         return rank(total)
@@ -339,7 +354,7 @@ def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
 
 
 def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
-    """Return the number of rows that are not empty: all that is known of the rank if terms are differences."""
+    """Count the nonempty rows, the only upper bound on the rank if some terms are differences of matrices."""
     return int(np.sum(np.any([np.diff(term.matrix.indptr) > 0 for term in M_terms], axis=0)))
 
 

@@ -1,4 +1,4 @@
-"""Line pictures of structures that are known by their matrices only."""
+"""Lines for plotting structures that are known only by their matrices."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class LinePicture:
-    """Lines between named points, for drawings only.
+    """Lines between named points, used only for plots.
 
     Attributes
     ----------
     names : sequence of str
-        Names of the points; a sensor at a place of the same name is drawn at that point.
+        Point names; a sensor at a place of the same name is plotted at that point.
     points : ndarray, shape (n_points, 3), m
     lines : ndarray of int, shape (n_lines, 2)
         Indices of the points at both ends of each line.
     changed : ndarray of bool, shape (n_lines, n_parameters)
-        Whether each parameter changes the part of the structure that a line stands for.
+        Whether each parameter changes the part of the structure that a line represents.
 
     Raises
     ------
@@ -42,5 +42,5 @@ class LinePicture:
             raise ValueError(f"lines: must be two points for each row of changed (got {np.shape(self.lines)})")
 
     def of(self, parameters: Sequence[int]) -> LinePicture:
-        """Return the picture for some of the parameters, given by index."""
+        """Return the same lines for a subset of the parameters, given by index."""
         return replace(self, changed=self.changed[:, list(parameters)])

@@ -1,4 +1,4 @@
-"""Modes of a structure as the union of the modes of its decoupled blocks, full or reduced."""
+"""Modes of a structure, merged from the modes of its decoupled blocks, full or reduced."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _EQUAL = 1e-6
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
-    """Return a mask of the rigid-body modes among the lowest modes of a structure, shape (..., m)."""
+    """Return a mask of the rigid-body modes among a structure's lowest modes, shape (..., m)."""
     return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
-    """Return the frequencies √λ / 2π in Hz; NaN for a clearly negative λ, which has no vibration.
+    """Convert eigenvalues to frequencies √λ / 2π in Hz; NaN for a clearly negative λ, which has no vibration.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def fix_sign(shapes: FloatArray) -> FloatArray:
-    """Return shapes with signs that do not depend on the solver: the largest component of each is positive.
+    """Flip shapes so that the largest component of each is positive, whatever the solver's sign.
 
     If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first of them is
     made positive, so that rounding does not decide the sign.
@@ -93,14 +93,14 @@ def fix_sign(shapes: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ModalSolution:
-    """Chosen modes of a structure at n parameter vectors.
+    """Selected modes of a structure at n parameter vectors.
 
     Attributes
     ----------
     eigenvalues : ndarray, shape (n, m), (rad/s)²; NaN where a solve failed or is not accurate
     gradient : ndarray, shape (n, m, n_parameters), or None
     block, rank : ndarray of int, shape (n, m)
-        Index of each mode's block, and index (from 0) of the mode within that block.
+        Each mode's block index, and its index (from 0) within that block.
     """
 
     eigenvalues: FloatArray
@@ -110,7 +110,7 @@ class ModalSolution:
 
     @property
     def failed(self) -> BoolArray:
-        """Mask of the modes that have no solution, shape (n, m)."""
+        """Mask of modes without a solution, shape (n, m)."""
         return np.isnan(self.eigenvalues)
 
     def columns(self, picked: IntArray) -> ModalSolution:
@@ -120,7 +120,7 @@ class ModalSolution:
 
 
 def count_modes(blocks: Sequence[Block]) -> int:
-    """Return the number of modes with a finite frequency of a structure that consists of `blocks`."""
+    """Return how many modes of finite frequency a structure made of these blocks has."""
     return sum(block.n_modes for block in blocks)
 
 
@@ -129,8 +129,8 @@ def solve_spectrum(
 ) -> ModalSolution:
     """Return the lowest `count` modes of the whole structure, sorted over all its `blocks`.
 
-    A reduced block gives only the modes that it was trained for. Where a further mode of a reduced block might
-    be among the lowest modes at a theta, the row of that theta is NaN, and the full model is needed there.
+    A reduced block gives only the modes that it was trained for. If one of its further modes might be among the
+    lowest modes at a theta, the row for that theta is NaN, and the full model is needed there.
 
     Raises
     ------
@@ -168,11 +168,10 @@ def solve_spectrum(
 def join_shapes(
     blocks: Sequence[Block], theta: FloatArray, modes: ModalSolution, counts: Mapping[int, int] | None = None
 ) -> FloatArray:
-    """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
+    """Return the mass-normalised shapes of modes at one theta (1, n_parameters), shape (n_dof, m).
 
-    For full blocks only. A shape is zero in every block but its own; its sign is that of `fix_sign`. `counts`
-    gives the number of modes of each block that were solved for to find `modes`, if it is known; the blocks
-    are then not solved again.
+    All blocks must be full. A shape is zero outside its own block, with the sign given by `fix_sign`. `counts` is
+    the number of modes solved for in each block to find `modes`, if known; the blocks are then not solved again.
     """
     block, rank = modes.block[0], modes.rank[0]
     shapes = np.zeros((sum(len(of.dofs) for of in blocks), len(block)))
@@ -184,7 +183,7 @@ def join_shapes(
 
 
 class _OneThread:
-    """A context in which BLAS uses one thread: many small eigenproblems are slower with more threads.
+    """Context in which BLAS uses one thread, because more threads slow down many small eigenproblems.
 
     The previous number of threads is restored afterwards. Nothing is changed if there is only one thread already,
     because threadpoolctl's own context takes as long as a reduced eigenproblem.

@@ -29,7 +29,7 @@ from fmu.types import Dof, FloatArray, IntArray
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Coordinates and elements of a structure, for drawings; the mechanics are in the matrices.
+    """Coordinates and elements of a structure, used only for plots; the mechanics are in the matrices.
 
     Attributes
     ----------
@@ -37,17 +37,17 @@ class Geometry:
         Coordinates. A degree of freedom named ``(node, direction)`` belongs to row `node` or, with `ids`, to the
         row with that id.
     elements : ndarray of int, shape (n_elements, 2)
-        Rows of `nodes` at both ends of each line to draw.
+        Rows of `nodes` at both ends of each plotted line.
     masses : sequence of int
         Rows of nodes with a point mass.
     springs : sequence of (int, int or None)
-        Rows of the nodes at both ends of each spring; None as the second end stands for the ground.
+        Rows of the nodes at both ends of each spring; None as the second end means the ground.
     spring_parameters : sequence of (int or None)
         Index of the first parameter that sets each spring's stiffness, or None; empty if no index is known.
     ids : ndarray of int, shape (n_nodes,), optional
-        Names of the nodes in the degrees of freedom, if the names are not the rows.
+        Node names in the degrees of freedom, if the names are not the rows.
     mesh : Mesh or ExportedModel, optional
-        Mesh of another program from which the lines are drawn.
+        Another program's mesh from which the lines are plotted.
 
     Raises
     ------
@@ -84,19 +84,19 @@ class Geometry:
         Returns
         -------
         Geometry or None
-            The geometry with the lines to draw; None if there is nothing to draw.
+            The geometry with the lines to plot, or None if there is nothing to plot.
         """
         lines = edges(mesh)
         return cls(mesh.coordinates, lines, ids=mesh.nodes, mesh=mesh) if len(lines) else None
 
     @cached_property
     def drawn(self) -> IntArray:
-        """Rows of the nodes that are drawn: all nodes or, for another program's mesh, the ends of lines."""
+        """Rows of the nodes that are plotted: all nodes or, for another program's mesh, the line ends."""
         return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
 
     @cached_property
     def row_of(self) -> dict[Any, int]:
-        """Dict from the name of each node to its row in `nodes`."""
+        """Row in `nodes` of each node, by node name."""
         names = range(len(self.nodes)) if self.ids is None else np.asarray(self.ids).tolist()
         return {name: row for row, name in enumerate(names)}
 
@@ -118,7 +118,7 @@ class RigidArm:
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
-        """Return the point's motion as a dict of weights of the node's motions, to first order: u + θ × r."""
+        """Return the point's motion in a direction as weights on the node's motions, to first order: u + θ × r."""
         x, y, z = self.offset
         return {direction: 1.0} | {
             "x": {"ry": z, "rz": -y},
@@ -139,12 +139,11 @@ class SeparableModel:
         Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. By default each degree
         of freedom is the translation x of its own node.
     geometry : Geometry, optional
-        Geometry for drawings of the structure and its mode shapes.
+        Geometry for plots of the structure and its mode shapes.
     arms : mapping of hashable to RigidArm, optional
         Points rigidly connected to nodes, by name, at which sensors may be placed.
     ties : mapping of tuple to tuple, optional
-        Dict from the name (node, direction) of each tied degree of freedom to the name in `dofs` to which it is
-        tied.
+        Maps the (node, direction) name of each tied degree of freedom to the name in `dofs` that it is tied to.
     motions : mapping of tuple to mapping of tuple to float, optional
         Motions (node, direction) as weighted sums of `dofs`, for nodes whose degrees of freedom are not along
         global axes. A motion takes precedence over a degree of freedom of the same name.
@@ -152,11 +151,11 @@ class SeparableModel:
     Attributes
     ----------
     names : tuple of str or None
-        Names of the parameters, if they were given; see `from_terms`.
+        Parameter names, if they were given; see `from_terms`.
     notes : tuple of str
         Sentences on the origin of the matrices.
     picture : LinePicture or None
-        Line picture that is drawn if there is no geometry.
+        Lines that are plotted if there is no geometry.
 
     Raises
     ------
@@ -205,7 +204,7 @@ class SeparableModel:
         geometry: Geometry | None = None,
         motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> SeparableModel:
-        """Return the model of matrices that are given with the names of the parameters that multiply them.
+        """Build a model from matrices and the names of the parameters that multiply them.
 
         ``SeparableModel.from_terms(["k1", "t"], stiffness=[K0, (K1, "k1"), (K2, {"t": 3})], mass=[M])`` has
         K = K0 + k1 K1 + t³ K2.
@@ -254,9 +253,9 @@ class SeparableModel:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, ...]:
-        """Indices of the degrees of freedom of each decoupled part of the structure, ascending.
+        """Degrees of freedom in each decoupled block of the structure, as ascending indices.
 
-        The parts are the connected components of the graph of nonzeros of Σ |K_k| + Σ |M_m|, so that the
+        The blocks are the connected components of the graph of nonzeros in Σ |K_k| + Σ |M_m|, so that the
         eigenproblem splits exactly. Entries that are nonzero only by rounding (as in a rotated element) do not
         connect degrees of freedom.
         """
@@ -274,7 +273,7 @@ class SeparableModel:
         return tuple(np.flatnonzero(label == k) for k in range(count))
 
     def last_factor(self, dofs: IntArray) -> LastFactor:
-        """Return where the factors of the block `dofs`, an entry of `blocks`, are kept."""
+        """Return the store for the factors of one block; `dofs` is an entry of `blocks`."""
         return self._last_factors.setdefault(int(dofs[0]), LastFactor())
 
     @cached_property
@@ -283,7 +282,7 @@ class SeparableModel:
         return np.array([i for i, (_, d) in enumerate(self.dofs) if d in ("x", "y", "z")], dtype=np.int64)
 
     def dof(self, node: Hashable, direction: str) -> int:
-        """Return the index of a degree of freedom.
+        """Return the index of the degree of freedom (node, direction).
 
         Raises
         ------
@@ -298,13 +297,13 @@ class SeparableModel:
             ) from None
 
     def observation(self, sensors: Sequence[Dof]) -> sp.csr_array:
-        """Return the matrix that maps displacements of the degrees of freedom to the sensor readings.
+        """Return the matrix that maps displacements of the degrees of freedom to sensor readings.
 
         Parameters
         ----------
         sensors : sequence of (place, direction)
-            A place is a node or a name in `arms`. A direction is that of a degree of freedom, with a leading minus
-            sign for a sensor of reversed polarity: ``"z"``, ``"-z"``.
+            A place is a node or a name in `arms`. The direction is a degree of freedom's, with a leading minus
+            sign if the sensor has reversed polarity: ``"z"``, ``"-z"``.
 
         Returns
         -------
@@ -346,7 +345,7 @@ class SeparableModel:
         return seen
 
     def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
-        """Yield row, direction and weights of degrees of freedom for each motion of the geometry's nodes."""
+        """Yield the node row, the direction and the weights by degree of freedom of each motion of a node."""
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
             if node in row_of:
@@ -354,18 +353,18 @@ class SeparableModel:
 
     @cached_property
     def dof_of(self) -> dict[Dof, int]:
-        """Dict from every name (node, direction), ties included, to the index of its degree of freedom."""
+        """Index of the degree of freedom for every (node, direction) name, including tied ones."""
         index = {name: i for i, name in enumerate(self.dofs)}
         return index | {name: index[other] for name, other in self.ties.items()}
 
 
 def separable_in(model: object) -> SeparableModel | None:
-    """Return a model that is given by its matrices; None for any other model."""
+    """Return the model if it is given by its matrices, or None if it is any other model."""
     return model if isinstance(model, SeparableModel) else None
 
 
 def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
-    """Return the csr_array, shape (q, n_dof), that picks the degrees of freedom `dofs` (q,) out of a motion."""
+    """Return the csr_array (q, n_dof) that selects the degrees of freedom `dofs` (q,) from displacements."""
     picked = np.asarray(dofs, dtype=np.int64)
     return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
 

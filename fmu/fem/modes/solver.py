@@ -2,12 +2,12 @@
 
 LAPACK factorises dense matrices, and definite matrices with a narrow band, such as those of beams, bridges and
 towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
-of Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), else by SuperLU, which comes with
-SciPy. PARDISO is meant for 10⁵ degrees of freedom and more. From `LARGE` rows on it factorises on as many threads
-as `n_threads` of `fmu.fem.modes.factors.pardiso` says; the factors are the same, bit for bit, with any number of
-threads. Where they would take more than a sixth of the machine's memory, they are made in single precision, and
-solutions are refined to double precision (`fmu.fem.refinement`). Before factors are made, their memory is compared
-with what is free: those of PARDISO that do not fit are kept in files, others are refused.
+in Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), otherwise by SuperLU, which comes with
+SciPy. PARDISO is meant for 10⁵ degrees of freedom and more. From `LARGE` rows on it uses as many threads as
+`n_threads` in `fmu.fem.modes.factors.pardiso` says; the factors are the same, bit for bit, with any number of
+threads. If they would take more than a sixth of the machine's memory, they are computed in single precision, and
+solutions are refined to double precision (`fmu.fem.refinement`). Memory is checked before factors are computed:
+PARDISO factors that do not fit are stored in files, others are refused.
 
 None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
 signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
@@ -36,7 +36,7 @@ LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
 
 
 class Factor(Protocol):
-    """The factors of a symmetric matrix A.
+    """Factors of a symmetric matrix A.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Factor(Protocol):
 
     @property
     def n_bytes(self) -> int:
-        """Memory of the factors, by PARDISO's own count, and otherwise by the number of their entries."""
+        """Bytes of memory for the factors: PARDISO's own count, or an estimate from the number of entries."""
         ...
 
     def solve(self, loads: FloatArray) -> FloatArray:
@@ -68,18 +68,18 @@ class Factor(Protocol):
 
 
 def sparse_solver() -> str:
-    """Return the name of the solver of sparse matrices: "PARDISO" if pypardiso is installed, else "SuperLU"."""
+    """Return the name of the sparse solver: "PARDISO" if pypardiso is installed, otherwise "SuperLU"."""
     return PARDISO if find_spec("pypardiso") else SUPERLU
 
 
 def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = True) -> Factor:
-    """Return the factors of a symmetric matrix, dense or sparse.
+    """Factorise a symmetric matrix, dense or sparse.
 
     Parameters
     ----------
     matrix : ndarray or sparse array, shape (n, n)
     solver : {"SuperLU", "PARDISO"}, optional
-        Solver for sparse matrices. By default LAPACK for a definite matrix with a narrow band, else
+        Solver for sparse matrices. Defaults to LAPACK for a definite matrix with a narrow band, otherwise to
         `sparse_solver`.
     is_definite : bool
         Whether the matrix is expected to be positive definite; the factorisation takes longer if it is not.
@@ -103,7 +103,7 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
 
 
 class ScaledFactor:
-    """Factors of a matrix A from the factors of D A D, for a diagonal matrix D.
+    """Factors of a matrix A, obtained from the factors of D A D with a diagonal matrix D.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class ScaledFactor:
 
 
 class LastFactor:
-    """The factors of a block's stiffness at the last theta where they were computed. A copy has none.
+    """Factors of a block's stiffness at the last theta where they were computed. A copy starts empty.
 
     Attributes
     ----------
@@ -140,11 +140,11 @@ class LastFactor:
         self.factor: ScaledFactor | None = None
 
     def __reduce__(self) -> tuple[type[LastFactor], tuple[()]]:
-        """Return a call that makes an object without factors, because factors cannot be pickled."""
+        """Pickle as an object without factors, because factors cannot be pickled."""
         return LastFactor, ()
 
     def at(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
-        """Return the factors at theta (n_parameters,), kept or from `make`; None if `make` returns None."""
+        """Return the factors at theta (n_parameters,), stored or from `make`; None if `make` returns None."""
         if self._at != theta.tobytes():
             self._at = self.factor = None  # before the next factors take memory
             self.factor = make()
@@ -178,7 +178,7 @@ class DenseFactor:
 
 
 def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
-    """Return S = D A D with a diagonal of ones (or zeros), and the diagonal of D, for a dense or sparse A."""
+    """Scale A, dense or sparse, to S = D A D with ones (or zeros) on the diagonal; return S and D's diagonal."""
     diagonal = np.abs(matrix.diagonal())
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     return scale_matrix(matrix, scale), scale

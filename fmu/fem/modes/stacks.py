@@ -73,9 +73,10 @@ def _lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray,
 def rayleigh_quotients(
     S: Any, M: Any, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Rayleigh quotients (..., m) and M-orthonormal vectors (..., n, m) of the space of X.
+    """Return the Rayleigh quotients (..., m) and M-orthonormal vectors (..., n, m) of the space that X spans.
 
-    `elastic` removes the rigid-body motions from vectors. The error of a quotient is the square of its vector's.
+    `elastic` removes rigid-body motions from vectors. A quotient's relative error is the square of its vector's
+    error.
     """
     for _ in range(2):  # Cholesky–QR in the inner product of M, twice against rounding
         X = elastic(X)
@@ -85,7 +86,7 @@ def rayleigh_quotients(
 
 
 def row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the arrays of a batched solver; if the batch fails, solve each matrix alone, with NaN on failure."""
+    """Call a batched solver; if the batch fails, solve each matrix alone, with NaN on failure."""
     try:
         return tuple(solve(*matrices))
     except np.linalg.LinAlgError:

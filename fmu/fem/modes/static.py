@@ -1,4 +1,4 @@
-"""Static displacements and masses of a structure as functions of theta, with exact derivatives."""
+"""Static displacements and mass properties of a structure as functions of theta, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DEPENDENT = 1e-13
 
 
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
-    """Return the displacements (n_dof,) of a translation of all free degrees of freedom by 1 m along an axis."""
+    """Return the displacement vector (n_dof,) that moves all free degrees of freedom by 1 m along one axis."""
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
@@ -41,7 +41,7 @@ class MassMoments:
     ----------
     model : SeparableModel
     start : ndarray, shape (n_parameters,)
-        Parameters for which the direction is chosen: the one of x, y, z along which most mass moves.
+        Parameters at which the direction is chosen: the axis x, y or z along which most mass moves.
     with_centre : bool
         Whether the centre of gravity is needed too, which requires the model's geometry.
 
@@ -70,9 +70,9 @@ class MassMoments:
         self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the mass in kg and the centre in m, (n, 1 or 4), at theta (n, n_parameters), with derivatives.
+        """Return the mass in kg, and the centre in m if needed, (n, 1 or 4), at theta (n, n_parameters).
 
-        The derivatives have shape (n, 1 or 4, n_parameters); they are None without `gradient`.
+        With `gradient`, also return their derivatives, shape (n, 1 or 4, n_parameters); otherwise None.
         """
         moments = np.einsum("nk,kq->nq", self._map.coefficients(theta), self._sums)
         mass = moments[:, :1]
@@ -86,7 +86,7 @@ class MassMoments:
 
 
 class StaticDisplacement:
-    """The displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
+    """Displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
 
     K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. Since the basis contains the primal and the dual
     solution, the error of u is the product of the errors of these two solutions (Quarteroni, Manzoni & Negri 2016,
@@ -101,14 +101,14 @@ class StaticDisplacement:
     at : tuple of (place, direction)
         Place and direction of the measured displacement (or rotation).
     points : callable
-        ``points(n)`` returns n parameter vectors, shape (n, n_parameters), in the range for which u is needed.
+        ``points(n)`` returns n parameter vectors, shape (n, n_parameters), in the range where u is needed.
 
     Attributes
     ----------
     error : float
         Largest relative error at points that are not used for the basis.
     n_solves : int
-        Number of solves of the full stiffness for the basis.
+        Number of solves with the full stiffness for the basis.
 
     Raises
     ------
@@ -157,9 +157,9 @@ class StaticDisplacement:
         self._loads = V.T @ loads
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return u in m or rad, (n, 1), at theta (n, n_parameters), with derivatives (n, 1, n_parameters).
+        """Return u in m or rad, shape (n, 1), at theta (n, n_parameters).
 
-        The derivatives are None without `gradient`.
+        With `gradient`, also return its derivatives, shape (n, 1, n_parameters); otherwise None.
         """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         K = np.einsum("nk,kij->nij", self._map.coefficients(theta), self._K)
@@ -177,7 +177,7 @@ class StaticDisplacement:
 
 
 def _coordinates(model: SeparableModel) -> FloatArray:
-    """Return the coordinates of the node of each degree of freedom, (n_dof, 3); ValueError if unknown."""
+    """Return the node coordinates for each degree of freedom, (n_dof, 3). Raise ValueError if unknown."""
     geometry = model.geometry
     if geometry is None or not all(node in geometry.row_of for node, _ in model.dofs):
         raise ValueError("centre: needs the coordinates of all nodes; give the model a mesh or a geometry")

@@ -1,4 +1,4 @@
-"""Terms of stiffness and mass, which are matrices times powers of the parameters, and their sums."""
+"""Stiffness and mass terms, which are matrices multiplied by powers of the parameters, and their sums."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Powers = tuple[float, ...]
 @check_arguments
 @dataclass(frozen=True)
 class Term:
-    """A matrix with its coefficient, the monomial Π theta_j ** powers[j].
+    """A matrix with the coefficient Π theta_j ** powers[j], a monomial.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class Term:
 
 
 def coefficients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return the coefficients of `terms`, shape (n, n_terms), for theta of shape (n, n_parameters)."""
+    """Return the coefficients of `terms`, shape (n, n_terms), at theta of shape (n, n_parameters)."""
     return np.stack([monomial(theta, t.powers) for t in terms], axis=1)
 
 
 def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return the gradients ∂c_k/∂theta_j of the coefficients, shape (n, n_terms, n_parameters)."""
+    """Return the coefficient gradients ∂c_k/∂theta_j, shape (n, n_terms, n_parameters)."""
     result = np.zeros((len(theta), len(terms), theta.shape[1]))
     for k, term in enumerate(terms):
         for j, power in enumerate(term.powers):
@@ -66,7 +66,7 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
 
 
 def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
-    """Return the second derivatives ∂²c_k/∂theta_i∂theta_j that are not 0, (n,) each, by (k, i, j)."""
+    """Return the nonzero second derivatives ∂²c_k/∂theta_i∂theta_j, each of shape (n,), keyed by (k, i, j)."""
     found = {}
     for k, term in enumerate(terms):
         powers = np.array(term.powers, dtype=float)
@@ -79,7 +79,7 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite where a power does not exist or overflows.
+    """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite if a power is undefined or overflows.
 
     Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """
@@ -106,7 +106,7 @@ def _power(x: float, power: float) -> float:
 
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return the terms, with the matrices of equal coefficients added up."""
+    """Add up the matrices of terms with equal coefficients, and return fewer terms."""
     merged: dict[Powers, sp.csr_array] = {}
     for term in terms:
         merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
@@ -114,7 +114,7 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
-    """Return the sparse sum Σ weights[k] · K_k of the matrices of `terms`; not finite on overflow."""
+    """Return the sparse sum Σ weights[k] · K_k of the term matrices; not finite on overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -128,7 +128,7 @@ def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
 
 
 class ParametricMatrix:
-    """The matrix Σ_k c_k(θ) K_k of `terms`: its coefficients with derivatives, and the sum itself.
+    """The matrix Σ_k c_k(θ) K_k: its coefficients with their derivatives, and the sum itself.
 
     Coefficients are fast in the common case c_k = θ_j. The sparsity pattern of the sum is found only once, when it
     is needed, because adding sparse arrays takes longer than solving a small structure.
@@ -148,12 +148,12 @@ class ParametricMatrix:
         self._slopes[self._linear, self._source] = 1.0
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without the pattern, which is found again on demand."""
+        """Return the state for pickling, without the sparsity pattern, which is found again on demand."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_pattern", "_places")}
 
     @cached_property
     def _pattern(self) -> tuple[IntArray, IntArray, list[tuple[slice | IntArray, FloatArray]]]:
-        """Columns and row pointers of the sum; for each term the places of its entries there, and its entries."""
+        """Columns and row pointers of the sum, and for each term the positions of its entries and the entries."""
         matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in self.terms]
         for matrix in matrices:
             matrix.sum_duplicates()
@@ -170,13 +170,13 @@ class ParametricMatrix:
 
     @cached_property
     def _places(self) -> IntArray:
-        """Places of the entries of the sum in a dense matrix, counted row by row."""
+        """Positions of the sum's entries in a dense matrix, counted row by row."""
         columns, pointers, _ = self._pattern
         rows = np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
         return np.ravel_multi_index((rows, columns), self.terms[0].matrix.shape)
 
     def add_up(self, weights: FloatArray, dense: bool) -> Any:
-        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse, and not finite on overflow."""
+        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse; not finite on overflow."""
         columns, pointers, parts = self._pattern
         data = np.zeros(len(columns))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -191,7 +191,7 @@ class ParametricMatrix:
 
     @property
     def is_curved(self) -> bool:
-        """Whether a coefficient has second derivatives, because it is not constant or a parameter alone."""
+        """Whether any coefficient has second derivatives, being neither constant nor simply a parameter."""
         return bool(self._general)
 
     def coefficients(self, theta: FloatArray) -> FloatArray:
@@ -212,7 +212,10 @@ class ParametricMatrix:
         return np.einsum("nkm,kj->nmj", forms, self._slopes)
 
     def along(self, theta: FloatArray, d: FloatArray) -> FloatArray:
-        """Return the derivatives Σ_j ∂c_k/∂theta_j d_j along d (n, m, n_parameters), shape (n, n_terms, m)."""
+        """Return the derivatives Σ_j ∂c_k/∂theta_j d_j of the coefficients along d, shape (n, n_terms, m).
+
+        `d` has shape (n, m, n_parameters).
+        """
         if self._general:
             return np.einsum("nkj,nmj->nkm", coefficient_gradients(self.terms, theta), d)
         return np.einsum("kj,nmj->nkm", self._slopes, d)
@@ -220,7 +223,7 @@ class ParametricMatrix:
     def contract_twice(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
         """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j, shape (n, m, n_parameters).
 
-        The forms have the shape (n, n_terms, m, n_parameters).
+        The forms have shape (n, n_terms, m, n_parameters).
         """
         total = np.zeros((forms.shape[0], *forms.shape[2:]))
         for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
@@ -248,13 +251,13 @@ def _as_csr(matrix: Any) -> sp.csr_array:
 
 
 def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
-    """Return the term given as a matrix, alone or with the name of its parameter or powers by name.
+    """Build a term from a matrix, given alone, with its parameter's name, or with powers by name.
 
     Parameters
     ----------
     given : Term, matrix, or tuple (matrix, str) or (matrix, mapping of str to float)
     names : tuple of str
-        The parameters, in the order of theta.
+        Parameter names, in the order of theta.
     where : str
         Name of the term in an error message.
 

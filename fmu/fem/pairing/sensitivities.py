@@ -231,7 +231,7 @@ class StructureSensitivities(Sensitivities):
             return np.asarray((found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None] + rest)
 
     def _left(self, part: _Solved, weights: FloatArray) -> FloatArray:
-        """Return the weights of the shapes at the sensors as weights of a block's shapes, (n, size, m, p)."""
+        """Convert weights of sensor shapes to weights of a block's shapes, (n, size, m, n_parameters)."""
         assert part.sensors is not None  # shapes were asked for
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
         at_sensors = np.zeros((n, q, count, p))

@@ -17,12 +17,12 @@ _NARROW = 256
 
 
 class Band(NamedTuple):
-    """Positions of the entries of a sparse matrix in its band.
+    """Positions of a sparse matrix's entries in its band.
 
     Attributes
     ----------
     order : ndarray of int, shape (n,)
-        The rows in the order that makes the band narrow.
+        Row order that makes the band narrow.
     half_width : int
         Number of diagonals on each side of the main diagonal.
     entries, at : ndarray of int, shape (n_lower,)
@@ -38,10 +38,9 @@ class Band(NamedTuple):
 
 @lru_cache(maxsize=8)
 def find_band(indptr: bytes, indices: bytes, dtype: str) -> Band | None:
-    """Return the band of the matrices with one pattern of entries (CSR); None if the band is too wide.
+    """Return the band for matrices with this sparsity pattern (CSR), or None if the band is too wide.
 
-    The rows are ordered by the reversed algorithm of Cuthill & McKee. A model's matrices have one pattern at every
-    theta.
+    Rows are in reverse Cuthill–McKee order. A model's matrices have one pattern at every theta.
     """
     rows, columns = np.frombuffer(indptr, dtype), np.frombuffer(indices, dtype)
     n = len(rows) - 1
@@ -58,7 +57,7 @@ def find_band(indptr: bytes, indices: bytes, dtype: str) -> Band | None:
 
 
 class BandedFactor:
-    """Cholesky factors of a definite matrix in its band; LinAlgError if the matrix is not definite."""
+    """Cholesky factors of a definite banded matrix. Raises LinAlgError if the matrix is not definite."""
 
     negative = 0
     L: FloatArray | None = None

@@ -1,4 +1,4 @@
-"""Which matrices are large, and whether their factors fit in the memory that is free."""
+"""Limits for large matrices, and checks that their factors fit in free memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LARGE = 20_000
 
 
 def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense the model") -> None:
-    """Raise MemoryError if factors of `n_dof` rows need more bytes than are free; otherwise log their memory."""
+    """Raise MemoryError if factors for `n_dof` rows need more bytes than are free; otherwise log the bytes."""
     free = free_memory()
     if free is not None and needed > free:
         beside = f"and {significant(free / 2**30, 3)} GiB of memory are free"
@@ -23,17 +23,17 @@ def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense t
 
 
 def is_short(needed: int) -> bool:
-    """Return True if so many bytes are not free, as far as that is known."""
+    """Return True if fewer than `needed` bytes of memory are free; False if this is not known."""
     free = free_memory()
     return free is not None and needed > free
 
 
 def needed_in_words(needed: int, n_dof: int) -> str:
-    """Return a clause on the bytes that factors of `n_dof` rows need."""
+    """Return a clause that says how many bytes factors for `n_dof` rows need."""
     return f"the factors of {whole(n_dof)} degrees of freedom need {significant(needed / 2**30, 3)} GiB"
 
 
 @cache
 def _tell_once(n_dof: int, gib: str) -> None:
-    """Log the memory of factors, once for each size."""
+    """Log the memory that factors need, once for each size."""
     tell_fact(f"The factors of {whole(n_dof)} degrees of freedom will take {gib} GiB of memory.")

@@ -1,4 +1,4 @@
-"""Factors by PARDISO of Intel's MKL (package pypardiso)."""
+"""Factors by PARDISO in Intel's MKL (package pypardiso)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 
 
 def n_threads() -> int:
-    """Return the number of threads on which PARDISO factorises, at most 8.
+    """Return the number of threads that PARDISO uses to factorise, at most 8.
 
     It is the environment variable ``MKL_NUM_THREADS`` or, without it, ``OMP_NUM_THREADS``; fmu's engines and Dask
     set both to 1 in their workers. Without both it is the number of processors that this process may use.
@@ -53,11 +53,11 @@ def n_threads() -> int:
 
 
 class _LargeFactorsError(Exception):
-    """The error for factors that are to be made in single precision."""
+    """Raised for factors so large that they should be computed in single precision."""
 
 
 def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFactor:
-    """Return the factors of a symmetric matrix, in single precision if they would take much of the memory."""
+    """Factorise a symmetric matrix, in single precision if the factors would take much of the memory."""
     try:
         return Pardiso(matrix, is_definite)
     except _LargeFactorsError:
@@ -66,10 +66,10 @@ def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFact
 
 
 class Pardiso:
-    """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D.
+    """Cholesky factors of a matrix or, if it is indefinite, factors L D Lᵀ with a diagonal D.
 
-    If the factors do not fit in the memory that is free, they are kept in files, of which PARDISO holds a part in
-    memory. Factors in files and factors in memory differ by rounding.
+    If the factors do not fit in free memory, they are stored in files, of which PARDISO holds a part in memory.
+    Factors in files and factors in memory differ by rounding.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class Pardiso:
     Warns
     -----
     UserWarning
-        If the factors are kept in files.
+        If the factors are stored in files.
     """
 
     L: FloatArray | None = None
@@ -107,12 +107,12 @@ class Pardiso:
 
     @property
     def n_entries(self) -> int:
-        """Number of entries of L and its transpose."""
+        """Number of entries in L and its transpose."""
         return 2 * int(self._solver.get_iparm(18))
 
     @property
     def n_bytes(self) -> int:
-        """Memory of the factors, or of the part of them that may be in memory."""
+        """Bytes of memory for the factors, or for the part of them that may be in memory."""
         n_bytes = sum(1024 * int(self._solver.get_iparm(i)) for i in (16, 17))
         return n_bytes if self._in_memory is None else min(n_bytes, self._in_memory)
 
@@ -150,10 +150,9 @@ class Pardiso:
 
 
 def _folder_for(n_bytes: int) -> str | None:
-    """Return a new folder on a disk that has room for so many bytes, None without room.
+    """Create a folder on a disk with at least `n_bytes` free and return it, or return None if there is no room.
 
-    It is in the folder that the environment variable ``MKL_PARDISO_OOC_PATH`` names, or else in that for temporary
-    files.
+    It is in the folder given by the environment variable ``MKL_PARDISO_OOC_PATH``, or else among temporary files.
     """
     folder = tempfile.mkdtemp(prefix="fmu-factors-", dir=_USERS_FOLDER)
     if shutil.disk_usage(folder).free > n_bytes:
@@ -181,7 +180,7 @@ def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None
 
 
 def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the upper triangle with every diagonal entry stored, even if it is zero."""
+    """Return the upper triangle, with every diagonal entry stored even if it is zero."""
     entries = sp.triu(matrix, format="coo")
     n = matrix.shape[0]
     rows, columns = (np.concatenate([of, np.arange(n)]) for of in entries.coords)
