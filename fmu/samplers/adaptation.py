@@ -1,7 +1,7 @@
 """Parts that the tuners share: the warm-up schedule, dual averaging of a step size, and moments of the draws.
 
-Adaptation uses the draws of all chains of a group and stops at the end of the warm-up. All draws that are kept
-therefore come from one fixed, valid kernel.
+Adaptation uses the draws of all chains in a group and stops at the end of warm-up. All retained draws therefore
+come from one fixed, valid kernel.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from fmu.samplers.kernel import Info, State, Tree
 from fmu.types import BoolArray, FloatArray
 
 LAG = 10.0
-"""Largest distance of a chain in the bulk from the log-density of most chains; one more is allowed per
+"""Largest difference in log-density between a chain in the bulk and most chains; one more is allowed per
 coordinate."""
 WINDOW_LAG = 3.0
-"""As `LAG`, for means over a window, with one half more per coordinate: a mean scatters less than a single
+"""The same for means over a window, with one half more per coordinate, because a mean scatters less than a single
 draw."""
 STUCK = 0.3
-"""Smallest acceptance rate of a chain that is not stuck, as a fraction of the median over the chains."""
+"""Smallest acceptance rate of a chain that is not stuck, relative to the median over the chains."""
 SHRINKAGE = 5.0
 """Weight of the diagonal in a regularised covariance, as a number of draws."""
 _HISTORY = ("position", "log_prob", "acceptance")
@@ -30,10 +30,10 @@ _MEMORY = 0.9  # weight of the past in the smoothed log-density of a chain
 
 @dataclass(frozen=True)
 class Schedule:
-    """Schedule of a warm-up that has three parts, as in Stan (Carpenter et al. 2017).
+    """Schedule of a warm-up with three parts, as in Stan (Carpenter et al. 2017).
 
-    The first part finds the bulk of the distribution; the second part learns the covariance, in windows; the last
-    part adapts the scale under the final covariance. See the Stan reference manual, "HMC algorithm parameters".
+    The first part finds the bulk of the distribution, the second learns the covariance in windows, and the last
+    adapts the step size under the final covariance. See the Stan reference manual, "HMC algorithm parameters".
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Schedule:
     def doubling(cls, steps: int) -> Schedule:
         """Return a schedule in which each window is twice as long as the last; a short warm-up has no windows.
 
-        This schedule suits a sampler that must adapt its scale again in every window.
+        This schedule suits a sampler that must adapt its step size again in every window.
         """
         first = last = int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -70,7 +70,7 @@ class Schedule:
         """Return a schedule in which each window covers the later half of all steps so far.
 
         Each window closes 10 % (at least 10 steps) later than the previous one. A short warm-up has no windows.
-        This schedule suits a sampler that mixes slowly until it knows the covariance of the target: the estimate
+        This schedule suits a sampler that mixes slowly until it knows the target's covariance: the estimate
         improves from window to window.
         """
         first, last = int(0.25 * steps), int(0.15 * steps)
@@ -86,10 +86,10 @@ class Schedule:
 
 @dataclass
 class DualAveraging:
-    """Nesterov's dual averaging, which adapts the logarithm x of a step size to an acceptance rate δ.
+    """Nesterov's dual averaging, which adapts the logarithm x of a step size to reach an acceptance rate δ.
 
     Hoffman & Gelman (2014), JMLR 15, 1593-1623, equation (6), with their constants. The arrays have one entry for
-    pooled chains, or one entry per chain. x is kept between `lowest` and `highest`, because on some densities the
+    pooled chains, or one entry per chain. x stays between `lowest` and `highest`, because on some densities the
     step size does not affect the acceptance rate.
 
     Parameters
@@ -121,7 +121,7 @@ class DualAveraging:
             self.centre = self.log_value + np.log(10.0)
 
     def update(self, acceptance: FloatArray) -> None:
-        """Update x with one observed acceptance probability α_t."""
+        """Update x with one observed acceptance probability α_t, shape () or (chains,)."""
         self.count += 1
         t = self.count
         # H̄_t = (1 − 1/(t + t₀)) H̄_{t−1} + (δ − α_t)/(t + t₀) is the mean error so far; t₀ damps the first steps
@@ -135,13 +135,13 @@ class DualAveraging:
 
     @property
     def averaged(self) -> FloatArray:
-        """The averaged logarithm x̄, which is used after the warm-up."""
+        """The averaged logarithm x̄, which is used after warm-up."""
         smoothed: FloatArray = self.average if self.count else self.log_value
         return smoothed
 
 
 class Learner:
-    """Learns the covariance of the target, and which chains have reached its bulk, from the warm-up steps.
+    """Learns from warm-up steps the target's covariance, and which chains have reached its bulk.
 
     Attributes
     ----------
@@ -177,16 +177,16 @@ class Learner:
 
     @property
     def searching(self) -> bool:
-        """Whether the warm-up is still in its first part."""
+        """Whether warm-up is still in its first part."""
         return self.step < self.schedule.first
 
     def average_arrived(self, value: FloatArray) -> FloatArray:
-        """Return the mean of `value`, shape (chains,), over the chains that have reached the bulk; shape ()."""
+        """Return the mean of `value` (chains,) over the chains that have reached the bulk; shape ()."""
         assert self._log_prob is not None  # learn() comes first
         return np.asarray(np.mean(value[find_arrived(self._log_prob, LAG + self.ndim)]))
 
     def state(self) -> Tree:
-        """Return the state of the learner as plain data."""
+        """Return the learner's state as plain data."""
         return {
             "step": self.step,
             "covariance": self.covariance,
@@ -195,7 +195,7 @@ class Learner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Restore a state that the `state` method of another learner returned."""
+        """Restore the state that another learner's `state` returned."""
         self.step, self.covariance, self._log_prob = state["step"], state["covariance"], state["log_prob"]
         history = state["history"]
         self._history = list(zip(*(history[name] for name in _HISTORY if name in history), strict=True))
@@ -210,7 +210,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
 
     Chains that lag behind, are trapped or hardly move are excluded. So are single draws with a far lower
     log-density; this loses only the far tails of the target. The covariance is shrunk towards its own diagonal
-    with the weight of five draws, so that the units of the parameters do not matter. (Stan shrinks towards a fixed
+    with the weight of five draws, so the units of the parameters do not matter. (Stan shrinks towards a fixed
     size, which would distort the covariance of a posterior much narrower than the prior.)
 
     Parameters
@@ -244,12 +244,12 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
 
 
 def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
-    """Return a mask, shape (chains,), of the chains that have reached the bulk, the region where most chains are.
+    """Return a mask (chains,) of the chains that have reached the bulk, the region where most chains are.
 
-    The criterion is the (average) log-density of each chain, which scatters by only √(ndim/2) within one mode. A
-    chain with a far lower value is still approaching the bulk or trapped; a chain with a far higher value has
-    found a spike, or a mode that the other chains have not found yet. In either case its draws are of no use to
-    the other chains. If `acceptance` is given, a chain must also accept about as often as the other chains.
+    The criterion is each chain's (average) log-density, which scatters by only √(ndim/2) within one mode. A chain
+    with a far lower value is still approaching the bulk or trapped. One with a far higher value has found a spike,
+    or a mode that the other chains have not found yet. In either case its draws are of no use to the other chains.
+    If `acceptance` is given, a chain must also accept about as often as the other chains.
     """
     near = np.abs(log_prob - _level(log_prob)) <= allowance
     if acceptance is None:

@@ -23,13 +23,13 @@ Moves = str | Mapping[str, float] | Iterable[str | tuple[str, float]]
 MOVES = ("stretch", "de", "snooker", "kde")
 _BEST = (("de", 1.0), ("kde", 1.0))
 _PER_COORDINATE = 4
-"""Smallest number of walkers per coordinate for which half of the walkers give a usable kernel density."""
+"""Smallest number of walkers per coordinate for which half of them give a usable kernel density."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Ensemble(Sampler):
-    """Ensemble sampler of the emcee library, in which each walker's proposal uses the positions of other walkers.
+    """emcee's ensemble sampler, in which each walker's proposal uses the positions of other walkers.
 
     Walkers are not independent chains: one ensemble is one chain, with steps × walkers draws. Nothing is tuned in
     warm-up, because the proposals adapt to the positions of the walkers.
@@ -52,9 +52,9 @@ class Ensemble(Sampler):
     Notes
     -----
     The default gave the largest effective sample size (ESS) per evaluation on the posteriors of the paper. The
-    list shows the smaller of the bulk and tail ESS of the worst parameter, per 1000 evaluations after warm-up, for
+    list shows the smaller of bulk and tail ESS of the worst parameter, per 1000 evaluations after warm-up, for
     four ensembles of 32 walkers and 3000 steps. The four values are for cantilever-young paired by shape and by
-    number, then cantilever-section paired by shape and by number:
+    number, then for cantilever-section paired by shape and by number:
 
     - stretch: 11, 13, 16, 15;
     - de: 42, 43, 48, 37;
@@ -98,7 +98,7 @@ class Ensemble(Sampler):
         return EnsembleKernel(target, sampler)
 
     def weighted_moves(self, ndim: int) -> list[tuple[Move, float]]:
-        """Return emcee's moves for `ndim` coordinates with their weights.
+        """Return emcee's moves for `ndim` coordinates, with their weights.
 
         Raises
         ------
@@ -131,11 +131,11 @@ class EnsembleKernel:
         return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Move every walker once.
+        """Move every walker once; return the new state and the step's diagnostics.
 
-        emcee's generator is seeded from `rng` at every step, so a checkpoint needs only State and `rng`. The total
-        number of solves of an ensemble is exact. emcee does not report which walkers the solves belong to, so they
-        are assigned to the first walkers.
+        emcee's generator is seeded from `rng` at every step, so a checkpoint needs only State and `rng`. An
+        ensemble's total number of solves is exact. emcee does not report which walkers caused them, so they are
+        assigned to the first walkers.
         """
         n_solves, n_nonfinite = (np.zeros(state.log_prob.shape, dtype=np.int64) for _ in range(2))
         position, log_prob = np.empty_like(state.position), np.empty_like(state.log_prob)
@@ -149,7 +149,7 @@ class EnsembleKernel:
         return State(position, log_prob), Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
 
     def _advance(self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray) -> EnsembleState:
-        """Move one ensemble by one step of emcee and return emcee's state."""
+        """Move one ensemble by one emcee step and return emcee's state."""
         import emcee
 
         seed = rng.integers(2**32, size=8, dtype=np.uint32)
@@ -166,7 +166,6 @@ class _Tally(Target):
         self.reset()
 
     def reset(self) -> None:
-        """Reset the counts to zero."""
         self.n_solves = self.n_nonfinite = 0
 
     def __call__(self, position: FloatArray) -> FloatArray:
@@ -177,7 +176,7 @@ class _Tally(Target):
 
 
 def _mixture(moves: Moves) -> tuple[tuple[str, float], ...]:
-    """Return the moves as (name, weight) pairs."""
+    """Return the moves as (name, weight) pairs; raise ValueError for an unknown move or a weight ≤ 0."""
     given = [moves] if isinstance(moves, str) else moves.items() if isinstance(moves, Mapping) else moves
     listed = given if isinstance(given, Iterable) else ()
     pairs = [(move, 1.0) if isinstance(move, str) else move for move in listed]

@@ -20,11 +20,10 @@ from fmu.types import FloatArray, LogDensity, Positive
 
 GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
-"""Initial step size, in scaled units, and initial number of steps: short enough for posteriors 1000 times narrower
-than the prior."""
+"""Initial step size, in scaled units, and number of steps: short enough for posteriors 1000 times narrower than
+the prior."""
 _LEARNABLE = 50
-"""Largest number of parameters whose covariance is learnt from the warm-up draws; ten draws per parameter are
-needed."""
+"""Largest number of parameters whose covariance warm-up can learn; this needs ten draws per parameter."""
 # Steps of a trajectory: 2 to 8 are enough with a good metric; with a poor metric the cost must be bounded.
 _MOST_STEPS = 32
 SHORT_STEPS = 0.95
@@ -37,10 +36,10 @@ _LONGEST = 10.0
 @check_arguments
 @dataclass(frozen=True)
 class HamiltonianMonteCarlo(LocalSampler):
-    """Hamiltonian Monte Carlo in the original (affinely scaled) coordinates, with reflection at the bounds.
+    """Hamiltonian Monte Carlo (HMC) in the original, affinely scaled coordinates, with reflection at the bounds.
 
-    The energy is H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory consists of `n_steps` leapfrog steps,
-    eq. (12)-(14) of the paper. Its end, of energy H*, is accepted with probability min(1, exp(H − H*)).
+    The energy is H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory consists of `n_steps` leapfrog steps, eq.
+    (12)-(14) of the paper. Its end point, with energy H*, is accepted with probability min(1, exp(H − H*)).
 
     Parameters
     ----------
@@ -57,16 +56,16 @@ class HamiltonianMonteCarlo(LocalSampler):
         Acceptance rate for which the step size is tuned; raised to at least `SHORT_STEPS` if trajectories still
         diverge at the end of warm-up.
     length : float
-        Trajectory length for which the number of steps is tuned, in standard deviations of the target. With a
-        length of 2, the effective sample size per gradient is within a quarter of the best. This holds for curved
+        Trajectory length for which the number of steps is tuned, in standard deviations of the target. A length of
+        2 gives an effective sample size per gradient within a quarter of the best. This holds for curved
         posteriors and for posteriors whose mass lies at a bound (where 1.5 is best). For a Gaussian without
         bounds, 3 would be better.
     gradient : {"exact", "central-difference"}
         Gradients from the density, or by central differences as in eq. (15) of the paper.
     delta : float or vector (ndim,)
-        The perturbation vector Δ of eq. (15), in scaled units.
+        Perturbation vector Δ of eq. (15), in scaled units.
     h : float
-        The scalar h of eq. (15), which multiplies Δ.
+        Scalar h of eq. (15), which multiplies Δ.
     max_bounces : int
         A trajectory with more reflections than this is rejected, never cut short.
 
@@ -128,9 +127,9 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> HamiltonianMonteCarlo:
-        """Return the settings with M⁻¹ from the curvature at the maximum with the largest weight.
+        """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 
-        If `step_size` or `inverse_mass` is given, or warm-up can learn M⁻¹, return the settings unchanged.
+        The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if warm-up can learn M⁻¹.
         """
         curvature = components[int(np.argmax(weights))].hessian
         if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
@@ -138,23 +137,23 @@ class HamiltonianMonteCarlo(LocalSampler):
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
 
     def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
-        """Return the settings with the covariance as M⁻¹, unless `inverse_mass` is given."""
+        """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""
         return self if self.inverse_mass is not None else replace(self, inverse_mass=covariance)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
-        """Return a tuner that learns the settings in `steps` warm-up steps; None if `step_size` is given."""
+        """Return a tuner that learns the settings in `steps` warm-up steps, or None if `step_size` is given."""
         return HamiltonianTuner(self, density, chains, steps) if self.step_size is None else None
 
 
 class HamiltonianTuner:
-    """Tuner of the step size, the inverse mass and the number of steps per trajectory.
+    """Tuner of the step size, the inverse mass matrix and the number of steps per trajectory.
 
-    The step size comes from dual averaging, and the inverse mass from the covariance of the draws in each window.
+    Dual averaging gives the step size, and the covariance of each window's draws gives the inverse mass matrix.
     The number of steps is the intended trajectory length divided by the step size.
 
-    In the first part of the warm-up every chain has its own step size: a chain far from the bulk of the
-    distribution needs a small step size, which must not slow down the other chains. Afterwards all chains share
-    one step size, which is not affected by chains that lag behind.
+    In the first part of warm-up each chain has its own step size: a chain far from the bulk of the distribution
+    needs a small one, which must not slow down the other chains. Afterwards all chains share one step size, which
+    is not affected by chains that lag behind.
     """
 
     def __init__(self, sampler: HamiltonianMonteCarlo, density: LogDensity, chains: int, steps: int) -> None:
@@ -184,7 +183,7 @@ class HamiltonianTuner:
         self._take_step_size()
 
     def finish_learning(self) -> HamiltonianMonteCarlo:
-        """Return the learnt settings."""
+        """Return the settings with everything that was learnt."""
         step_size = float(self._limit_step(np.mean(self.averaging.averaged)))
         inverse_mass = self.sampler.inverse_mass
         if inverse_mass is None and self.learner.covariance is not None:
@@ -198,11 +197,11 @@ class HamiltonianTuner:
         )
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         return {"learner": self.learner.state(), "averaging": vars(self.averaging)}
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another tuner returned."""
+        """Restore the state that another tuner's `state` returned."""
         self.learner.restore(state["learner"])
         self.averaging = DualAveraging(**state["averaging"])
         if self.learner.covariance is not None and self.sampler.inverse_mass is None:
@@ -233,12 +232,12 @@ class HamiltonianTuner:
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
-        """Return the step size, at most `_LONGEST` trajectory lengths because a flat density accepts any step."""
+        """Return the step size, at most `_LONGEST` trajectory lengths, because a flat density accepts any step."""
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: FloatArray | float) -> int:
-        """Return `n_steps` if it is given, else the number of steps that gives the intended trajectory length."""
+        """Return `n_steps` if given, otherwise the number of steps that gives the intended trajectory length."""
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

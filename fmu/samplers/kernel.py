@@ -1,8 +1,8 @@
-"""The parts of a sampler: its settings, the kernel that moves the chains, the state of the chains, and a tuner.
+"""The parts of a sampler: settings, a kernel that moves the chains, the state of the chains, and a tuner.
 
 A sampler is a small frozen dataclass of settings. Binding the settings to a density gives a kernel, which advances
-all chains of a group in lockstep, as one array. Each batched evaluation of the density therefore serves all
-chains. A tuner learns better settings during warm-up.
+all chains of a group in lockstep, as one array, so each batched evaluation of the density serves all of them. A
+tuner learns better settings during warm-up.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Info:
     log_prob : ndarray
         Log-density at the position where the step ended.
     n_solves : ndarray of int
-        Density evaluations inside the bounds (one eigenproblem each) that the step took.
+        Density evaluations within the bounds (one eigenproblem each) that the step took.
     n_gradients : ndarray of int
         Gradients that the step took. An exact gradient is one solve too; a central-difference gradient is
         ``2 ndim`` solves.
@@ -66,8 +66,7 @@ class Info:
         Statistics that only some samplers have, such as ``acceptance_rate``, ``energy``, ``diverging`` and
         ``n_steps``; recorded for every draw.
     parts : Info, optional
-        For a kernel that runs other kernels, the diagnostics of the steps of those kernels, for use by the tuner;
-        not recorded.
+        For a kernel that runs other kernels, the diagnostics of their steps, for use by the tuner; not recorded.
     """
 
     accepted: BoolArray
@@ -86,7 +85,7 @@ class Kernel(Protocol):
         ...
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Advance every chain by one draw; return the new state and the diagnostics of the step."""
+        """Advance every chain by one draw; return the new state and the step's diagnostics."""
         ...
 
 
@@ -114,9 +113,9 @@ class Sampler(ABC):
     learns_together : bool
         Whether all chains must be in one group, because they are tuned together.
     walkers : int
-        Number of walkers that an ensemble moves together; 1 for a sampler whose chain is a single point.
+        Number of walkers that an ensemble moves together; 1 for a sampler with ordinary chains.
     gradient : str
-        Source of the gradients: "exact", from the density; "central-difference"; or "" if none are used.
+        How gradients are computed: "exact", by the density; "central-difference"; or "" if none are used.
     takes_gradients : bool
         Whether each evaluation includes the gradient.
     """
@@ -132,12 +131,12 @@ class Sampler(ABC):
 
     @property
     def walkers(self) -> int:
-        """Number of walkers per chain: 1, because a chain is a single point."""
+        """Number of walkers per chain; 1 by default."""
         return 1
 
     @property
     def gradient(self) -> str:
-        """Source of the gradients: "", because none are used."""
+        """How gradients are computed; by default an empty string, because none are used."""
         return ""
 
     @property
@@ -146,7 +145,7 @@ class Sampler(ABC):
         return bool(self.gradient)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return settings adapted to the maxima of the density, given as quadratics; unchanged by default."""
+        """Return settings adapted to the density's maxima, given as quadratics; unchanged by default."""
         return self
 
     @abstractmethod
@@ -154,12 +153,12 @@ class Sampler(ABC):
         """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return a tuner that learns better settings in `steps` warm-up steps; None if there are none to learn."""
+        """Return a tuner that learns better settings in `steps` warm-up steps, or None if nothing is learnt."""
         return None
 
 
 class Tuner(Protocol):
-    """Tuner that learns the settings of a sampler from its warm-up steps.
+    """Tuner that learns a sampler's settings from its warm-up steps.
 
     Attributes
     ----------
@@ -172,7 +171,7 @@ class Tuner(Protocol):
     def update(self, state: State, info: Info) -> IntArray | None:
         """Learn from one step, and update `kernel`.
 
-        Return the number of evaluations that the learning itself took, shape (chains,); None if it took none.
+        Return the number of evaluations that the learning itself took, shape (chains,), or None if it took none.
         """
         ...
 
@@ -181,7 +180,7 @@ class Tuner(Protocol):
         ...
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         ...
 
     def restore(self, state: Tree) -> None:
@@ -190,16 +189,16 @@ class Tuner(Protocol):
 
 
 class Evaluation(NamedTuple):
-    """Log-densities of a batch of points, and the cost of evaluating them.
+    """Log-densities at a batch of points, and the cost of evaluating them.
 
     Attributes
     ----------
     log_prob : ndarray, shape (...)
-        ``-inf`` outside the box, and where the density is not finite inside it.
+        ``-inf`` outside the bounds, and where the density is not finite.
     n_solves : ndarray of int, shape (...)
-        1 inside the box, 0 outside.
+        1 within the bounds, 0 outside.
     n_nonfinite : ndarray of int, shape (...)
-        1 where the density inside the box is not finite.
+        1 where the density within the bounds is not finite.
     """
 
     log_prob: FloatArray
@@ -208,7 +207,7 @@ class Evaluation(NamedTuple):
 
 
 class Target:
-    """Evaluates a density for the kernels in batches, only inside the box, and counts the cost.
+    """Evaluates a density for the kernels in batches, only within the bounds, and counts the cost.
 
     Parameters
     ----------
@@ -221,7 +220,7 @@ class Target:
         self.solves_per_gradient = int(getattr(density, "solves_per_gradient", 1))
 
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
-        """Return the log-densities, shape (n,), at points `position`, shape (n, ndim), inside the box.
+        """Return the log-densities, shape (n,), at points `position` (n, ndim) within the bounds.
 
         `chain` selects the chains that the points belong to; a subclass may use a different density for each
         chain.
@@ -230,12 +229,12 @@ class Target:
         return values
 
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
-        """Evaluate the density in one batch, at all points of `position`, shape (..., ndim), inside the box.
+        """Evaluate the density in one batch at all points of `position` (..., ndim) that are within the bounds.
 
         `chain`, shape (...), is the index of each point's chain; if it is not given, there is one point per chain.
 
-        Points outside the box are never evaluated; a point with a NaN coordinate counts as outside. A value that
-        is not finite (a failed eigensolve) becomes ``-inf``, so only that point is rejected.
+        Points outside the bounds are never evaluated; a point with a NaN coordinate counts as outside. A value
+        that is not finite (a failed eigensolve) becomes ``-inf``, so only that point is rejected.
         """
         inside, all_inside = find_inside(position, self.lower, self.upper)
         log_prob = np.full(inside.shape, -np.inf)
@@ -254,5 +253,5 @@ class Target:
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Return the state with any gradient that a step needs, and the cost; None if nothing was missing."""
+        """Add any gradient that a step needs; return the state and the cost, or None if nothing was missing."""
         return state, None

@@ -17,10 +17,10 @@ from fmu.types import BoolArray, FloatArray, LogDensity
 
 
 class LocalSampler(Sampler):
-    """Settings of a sampler that moves a single point per chain by local steps.
+    """Settings of a sampler that moves one point per chain by local steps.
 
     The mixture sampler takes such steps between its candidates, and tempering moves its replicas with them. With
-    the jumps that `with_jumps` adds, the chains of a local sampler can cross from one maximum to another.
+    the jumps that `with_jumps` adds, a local sampler's chains can cross from one maximum to another.
     """
 
     is_local: ClassVar[bool] = True
@@ -43,7 +43,7 @@ class LocalKernel(ABC):
     """A local sampler bound to a density; derived kernels are frozen dataclasses too.
 
     Its state is the position, the log-density and, if the target has gradients, the gradient. Its `Info.extra`
-    contains ``n_nonfinite``, the number of evaluations of each chain inside the box that are not finite.
+    contains ``n_nonfinite``, each chain's number of evaluations within the bounds that are not finite.
     """
 
     target: Target
@@ -54,7 +54,7 @@ class LocalKernel(ABC):
 
     @abstractmethod
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Advance every chain by one draw."""
+        """Advance every chain by one draw; return the new state and the step's diagnostics."""
 
     @abstractmethod
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
@@ -71,7 +71,7 @@ class LocalKernel(ABC):
 
 
 def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArray) -> BoolArray:
-    """Return a mask of the accepted candidates: True with probability min(1, exp(log_ratio)), elementwise.
+    """Return a mask of accepted candidates: True with probability min(1, exp(log_ratio)), elementwise.
 
     Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092. log u is drawn as −x with x exponential.
     """

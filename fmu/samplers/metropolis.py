@@ -17,7 +17,7 @@ from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
 from fmu.types import FloatArray, LogDensity
 
 START_SCALE = 0.01
-"""Standard deviation of a random walk before anything is learnt, in scaled units."""
+"""Initial standard deviation of the random walk, in scaled units."""
 _SETTLING = 20  # steps that the scale of a random walk takes to settle
 
 
@@ -44,7 +44,7 @@ class RandomWalk:
     Parameters
     ----------
     scale : float, vector (ndim,) or matrix (ndim, ndim)
-        One standard deviation for all coordinates, one standard deviation per coordinate, or the covariance S.
+        One standard deviation for all coordinates, one per coordinate, or the covariance S.
 
     Raises
     ------
@@ -62,13 +62,13 @@ class RandomWalk:
         object.__setattr__(self, "factor", cholesky_factor("scale", array) if array.ndim == 2 else array)
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates position + L z with z standard normal and L Lᵀ = S."""
+        """Return candidates position + L z, shape (chains, ndim), with z standard normal and L Lᵀ = S."""
         factor = fits("scale", self.factor, position.shape[-1])
         z = rng.standard_normal(position.shape)
         return position + (z @ factor.T if factor.ndim == 2 else factor * z)
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return 0: q(a | b) = q(b | a)."""
+        """Return zeros, shape (chains,), because q(a | b) = q(b | a)."""
         return np.zeros(len(position))
 
 
@@ -79,12 +79,12 @@ class RandomWalks:
     factor: FloatArray
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates position + L z with z standard normal."""
+        """Return candidates position + L z, shape (chains, ndim), with z standard normal."""
         z = rng.standard_normal(position.shape)
         return position + np.einsum("nij,nj->ni", self.factor, z)
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return 0: the walks are symmetric."""
+        """Return zeros, shape (chains,), because the walks are symmetric."""
         return np.zeros(len(position))
 
 
@@ -92,8 +92,8 @@ class RandomWalks:
 class LogNormalWalk:
     """Multiplicative random walk above `origin`: candidate − origin = (position − origin) exp(s z), z ~ N(0, 1).
 
-    The walk is asymmetric. With the position x and the candidate x' measured from the origin, q(x' | x) = N(log
-    x'; log x, s²)/x', so log q(x | x') − log q(x' | x) = Σ log(x'/x).
+    The walk is asymmetric. With the position x and the candidate x' measured from the origin,
+    q(x' | x) = N(log x'; log x, s²)/x', so log q(x | x') − log q(x' | x) = Σ log(x'/x).
 
     Parameters
     ----------
@@ -117,7 +117,10 @@ class LogNormalWalk:
         object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates: the distances of the positions from the origin times log-normal factors."""
+        """Return candidates, shape (chains, ndim): the distances from the origin times log-normal factors.
+
+        Raise ValueError if a position is not above `origin`.
+        """
         ndim = position.shape[-1]
         scale, origin = fits("scale", self.scale, ndim), fits("origin", self.origin, ndim)
         if np.any(position <= origin):
@@ -125,7 +128,7 @@ class LogNormalWalk:
         return origin + (position - origin) * np.exp(scale * rng.standard_normal(position.shape))
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return Σ log((candidate − origin)/(position − origin))."""
+        """Return Σ log((candidate − origin)/(position − origin)), shape (chains,)."""
         origin = np.asarray(self.origin)
         with np.errstate(divide="ignore"):  # if a factor underflows, the candidate at the origin is rejected
             return np.sum(np.log(candidate - origin) - np.log(position - origin), axis=-1)
@@ -133,7 +136,7 @@ class LogNormalWalk:
 
 @dataclass(frozen=True)
 class Independence:
-    """Proposal that draws candidates from N(mean, covariance), such as a Laplace approximation, at any position.
+    """Proposal that draws candidates from a fixed Gaussian, such as a Laplace approximation, at any position.
 
     Parameters
     ----------
@@ -160,12 +163,12 @@ class Independence:
         object.__setattr__(self, "_inverse_factor", np.linalg.inv(factor))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates mean + L z with z standard normal and L Lᵀ = covariance."""
+        """Return candidates mean + L z, shape (chains, ndim), with z standard normal and L Lᵀ = covariance."""
         mean = fits("mean", self.mean, position.shape[-1])
         return mean + rng.standard_normal(position.shape) @ self._factor.T
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return log g(position) − log g(candidate), where g is the density of the Gaussian."""
+        """Return log g(position) − log g(candidate), shape (chains,), where g is the Gaussian density."""
         return self._log_density(position) - self._log_density(candidate)
 
     def _log_density(self, x: FloatArray) -> FloatArray:
@@ -185,7 +188,7 @@ class MetropolisHastings(LocalSampler):
     ----------
     proposal : Proposal, optional
         The proposal q, with settings in scaled units. By default it is a Gaussian random walk whose covariance is
-        learnt in warm-up; the first quarter of the warm-up then uses slice sampling.
+        learnt in warm-up; the first quarter of warm-up then uses slice sampling.
 
     References
     ----------
@@ -200,11 +203,11 @@ class MetropolisHastings(LocalSampler):
     cost: ClassVar[tuple[float, float, float]] = (1.5, 0.7, 0.3)
 
     def bind(self, density: LogDensity) -> MetropolisKernel:
-        """Return the kernel that samples `density`."""
+        """Return the kernel that samples `density` with these settings."""
         return MetropolisKernel(Target(density), self.proposal or RandomWalk(START_SCALE))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
-        """Return a tuner that learns the random walk in `steps` warm-up steps; None if `proposal` is given."""
+        """Return a tuner that learns the random walk in `steps` warm-up steps, or None if `proposal` is given."""
         if self.proposal is not None:
             return None
         return MetropolisTuner(self, density, steps)
@@ -219,7 +222,7 @@ class MetropolisKernel(LocalKernel):
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Propose a candidate for every chain, and accept or reject it.
 
-        A candidate outside the box has probability zero: it is rejected without an evaluation.
+        A candidate outside the bounds has probability zero: it is rejected without an evaluation.
         """
         candidate = self.proposal.sample(rng, state.position)
         new = self.target.evaluate(candidate)
@@ -246,7 +249,7 @@ class MetropolisKernel(LocalKernel):
 
 
 class Search(SliceKernel):
-    """Slice-sampling kernel that records the same statistics as the Metropolis-Hastings kernel."""
+    """Slice-sampling kernel for the search phase, with the same statistics as the Metropolis-Hastings kernel."""
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw a point from the slice for every chain, without a rejection step."""
@@ -256,17 +259,17 @@ class Search(SliceKernel):
 
 
 class MetropolisTuner:
-    """Tuner of a Gaussian random walk: learns the covariance from the draws, the scale from the acceptance rate.
+    """Tuner of a Gaussian random walk: the draws give its covariance, the acceptance rate its scale.
 
     A random walk with an unsuitable covariance takes long to reach the bulk of the distribution, and the draws on
-    the way there may have a different covariance from the bulk. The first part of the warm-up therefore uses slice
+    the way there may have a different covariance from the bulk. The first part of warm-up therefore uses slice
     sampling, which finds its own scale in every step. The random walk starts with the covariance of these draws,
     and each window improves it (Haario, Saksman & Tamminen 2001).
 
     The random walk has the covariance s²·S, where S is the covariance of the last window. The scale s is adapted
-    until the acceptance rate is at its optimum: 0.44 in one dimension and 0.234 in many (Gelman, Roberts & Gilks
-    1996). The rate is averaged over the chains that have reached the bulk. The adaptation is a Robbins–Monro
-    recursion (Andrieu & Thoms 2008, algorithm 4).
+    until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44 in one
+    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion
+    (Andrieu & Thoms 2008, algorithm 4).
     """
 
     def __init__(self, sampler: MetropolisHastings, density: LogDensity, steps: int) -> None:
@@ -298,11 +301,11 @@ class MetropolisTuner:
         return self._settings(averaged)
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         return {"search": self.search.state(), "log_scale": self.log_scale, "count": self.count, "sum": self.sum}
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another tuner returned."""
+        """Restore the state that another tuner's `state` returned."""
         self.search.restore(state["search"])
         self.log_scale, self.count, self.sum = state["log_scale"], state["count"], state["sum"]
         if self.search.learner.step:

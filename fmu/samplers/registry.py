@@ -1,4 +1,4 @@
-"""Registry of the samplers by name; to add a sampler to the package takes one file, and one line here."""
+"""Registry of the samplers by name; adding a sampler takes one file, and one line here."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ SAMPLERS = {
 COMPARED = ("mh", "slice", "hmc", "emcee", "mixture")
 """Names of the samplers that are compared on one problem."""
 BASELINE = "emcee"
-"""Name of the sampler whose cost is the unit of the other samplers' costs."""
+"""Name of the sampler to whose cost the other samplers' costs are compared."""
 
 
 def sampler_class(name: str) -> type[Sampler]:
-    """Return the settings class of a sampler; raise ValueError, listing the known names, if `name` is unknown."""
+    """Return a sampler's settings class; raise ValueError, listing the known names, if `name` is unknown."""
     if name not in SAMPLERS:
         raise ValueError(f"sampler: must be one of {', '.join(SAMPLERS)} (got {name!r})")
     module, _, kind = SAMPLERS[name].rpartition(".")
@@ -39,7 +39,7 @@ def local_samplers() -> tuple[str, ...]:
 
 
 def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
-    """Return the numbers of warm-up steps and draws of a run, with a default for each that is None.
+    """Return the numbers of warm-up steps and draws of a run; each that is None gets its default.
 
     If `draws` is None, the defaults depend on the sampler, and convergence is first checked after these draws.
     """

@@ -1,4 +1,4 @@
-"""Checks of the samplers' settings, and their conversion to plain data."""
+"""Checks of sampler settings, and their conversion to plain data."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
 
 Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
 _FEW = 100
-"""Largest number of entries of a matrix that a message shows."""
+"""Largest number of matrix entries that a message shows."""
 
 
 def positive_number(name: str, value: float) -> float:
-    """Return `value` as a float; raise ValueError unless `value` is a positive finite number."""
+    """Return `value` as a float; raise ValueError unless it is a positive finite number."""
     require(name, value, Positive)
     return float(value)
 
 
 def whole_number(name: str, value: int, minimum: int) -> int:
-    """Return `value` as an int; raise ValueError unless `value` is a whole number of at least `minimum`."""
+    """Return `value` as an int; raise ValueError unless it is a whole number of at least `minimum`."""
     require(name, value, Annotated[int, Ge(minimum)])
     return int(value)
 
 
 def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
-    """Return `value` as a str; raise ValueError unless `value` is one of the `known` words."""
+    """Return `value` as a str; raise ValueError unless it is one of the `known` words."""
     if value not in known:
         raise ValueError(f"{name}: must be one of {', '.join(known)} (got {value!r})")
     return str(value)
 
 
 def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return a vector as a tuple of floats; raise ValueError unless `value` is finite and one-dimensional."""
+    """Return a vector as a tuple of floats; raise ValueError unless it is finite and one-dimensional."""
     array = _as_floats(name, value)
     if array.ndim != 1 or array.size == 0 or not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: must be a vector of finite numbers (got {value!r})")
@@ -50,7 +50,7 @@ def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
 
 
 def positive_scale(name: str, value: ArrayLike, *, matrix: bool) -> Scale:
-    """Return a positive number, vector of positive numbers or positive definite matrix in hashable form.
+    """Return a positive number, positive vector or positive definite matrix in hashable form.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def orthonormal(name: str, value: ArrayLike) -> tuple[tuple[float, ...], ...]:
 
 
 def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
-    """Return `value` as an array; raise ValueError unless `value` is a scalar or has length `ndim`."""
+    """Return `value` as an array; raise ValueError unless it is a scalar or has length `ndim`."""
     array = np.asarray(value, dtype=float)
     if array.ndim and array.shape[0] != ndim:
         raise ValueError(f"{name}: must have length {ndim}, one entry per coordinate (got {array.shape[0]})")
@@ -112,7 +112,7 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 
 def describe(settings: Any) -> dict[str, object]:
-    """Return the fields of a dataclass as JSON-able data; nested dataclasses include their class name."""
+    """Return a dataclass's fields as JSON-able data; nested dataclasses include their class name."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
     described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described

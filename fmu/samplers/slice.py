@@ -87,11 +87,11 @@ class Slice(LocalSampler):
         return SliceKernel(Target(density), self, width, axes)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> SliceTuner | None:
-        """Return a tuner that learns widths and axes in `steps` warm-up steps; None if `width` is given."""
+        """Return a tuner that learns widths and axes in `steps` warm-up steps, or None if `width` is given."""
         return SliceTuner(self, density, steps) if self.width is None else None
 
     def take_covariance(self, covariance: FloatArray) -> Slice:
-        """Return the settings with intervals along the principal axes, unless `width` or `axes` is given."""
+        """Return a copy with intervals along the principal axes, or `self` if `width` or `axes` is given."""
         if self.width is not None or self.axes is not None:
             return self
         variances, axes = np.linalg.eigh(covariance)
@@ -103,7 +103,7 @@ class SliceKernel(LocalKernel):
     """Slice-sampling kernel bound to a density.
 
     `width` has one entry per axis, and the axes are the columns of `axes`. If each chain has its own widths and
-    axes, the shapes are (chains, ndim) and (chains, ndim, ndim). Intervals are stored as offsets from the present
+    axes, the shapes are (chains, ndim) and (chains, ndim, ndim). Intervals are stored as offsets from the current
     position along the axes, so offset 0 is always inside.
     """
 
@@ -135,7 +135,7 @@ class SliceKernel(LocalKernel):
         return replace(self, width=np.repeat(width, chains, axis=0), axes=np.repeat(axes, chains, axis=0))
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
-        """Return the left and right ends, (2, chains, axes), of initial intervals placed at random around 0."""
+        """Place initial intervals at random around 0; return their left and right ends, (2, chains, axes)."""
         left = -width * rng.random((chains, width.shape[-1]))
         return np.stack([left, left + width])
 
@@ -148,7 +148,7 @@ class SliceKernel(LocalKernel):
         interval: FloatArray,
         account: dict[str, IntArray],
     ) -> FloatArray:
-        """Return the ends of the intervals along axis `i` after stepping out (Neal 2003, figure 3).
+        """Step out along axis `i` (Neal 2003, figure 3); return the left and right interval ends.
 
         Each end is moved outwards until it is off the slice or its budget is used up. The budget is split between
         left and right in advance, so both ends and all chains can advance together. An end outside the bounds
@@ -207,7 +207,7 @@ class SliceKernel(LocalKernel):
         return new, new_log_prob
 
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the left and right ends, cut at the bounds of each coordinate that is moved by one axis only."""
+        """Cut the intervals at the bounds of each coordinate that only one axis moves; return both ends."""
         left, right = ends[0].copy(), ends[1].copy()
         if axes.ndim == 3:  # each chain's own axes, learnt and so oblique: cut only a single axis
             return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
@@ -226,7 +226,7 @@ class SliceKernel(LocalKernel):
 
 
 class SliceTuner:
-    """Tuner that uses the principal axes of the covariance, with widths of a few standard deviations.
+    """Tuner that aligns slices with the principal axes of the covariance, a few standard deviations wide.
 
     Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
     """
@@ -249,11 +249,11 @@ class SliceTuner:
         return self.settings
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         return self.learner.state()
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another tuner returned."""
+        """Restore the state that another tuner's `state` returned."""
         self.learner.restore(state)
         if self.learner.covariance is not None:
             self._take_covariance()
@@ -266,7 +266,7 @@ class SliceTuner:
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
-    """Return displacements (n, ndim) for offsets (n, axes) along axes that are shared or differ by chain."""
+    """Return displacements (n, ndim) for offsets (n, axes) along axes that chains share or have separately."""
     return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
 
 

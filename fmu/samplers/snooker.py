@@ -11,9 +11,9 @@ from fmu.types import FloatArray
 class SnookerMove(RedBlueMove):
     """Move along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
 
-    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). emcee's own
-    ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the exponent. It does not
-    leave the target invariant and is therefore replaced by this class.
+    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). This class replaces
+    emcee's own ``DESnookerMove`` (up to 3.1.6), which divides by the square root of |x − z| and takes half the
+    exponent, and so does not leave the target invariant.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class SnookerMove(RedBlueMove):
     def get_proposal(
         self, s: FloatArray, c: list[FloatArray], random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return candidates for the walkers `s`, shape (n, ndim), and the logarithms of their acceptance factors.
+        """Return candidates for the walkers `s` (n, ndim), and the logarithms of their acceptance factors, (n,).
 
         Each candidate uses three different walkers from `c`, the rest of the ensemble.
         """

@@ -1,4 +1,4 @@
-"""Hamiltonian trajectories in a box: kinetic energy, gradients, reflection at the walls, and leapfrog steps."""
+"""Hamiltonian trajectories within bounds: kinetic energy, gradients, reflections, and leapfrog steps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DIVERGENCE = 1000.0
 class Metric:
     """Kinetic energy W(p) = pᵀ M⁻¹ p / 2, with momenta p ~ N(0, M).
 
-    The best inverse mass is the covariance of the target, because correlations then do not slow the sampler down.
+    The best M⁻¹ is the target's covariance, because correlations then do not slow the sampler down.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Metric:
 
     @classmethod
     def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
-        """Return the metric for an inverse mass: None for the identity, a number or vector for a diagonal matrix.
+        """Return the metric for an inverse mass matrix: None for the identity, a vector for a diagonal matrix.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class WithGradient(Target):
 
     @abstractmethod
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Return log-densities and gradients at `position`, shape (n, ndim), for the chains of index `chain`."""
+        """Return log-densities and gradients at `position` (n, ndim), for the chains with indices `chain`."""
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate density and gradient at the starting points; raise ValueError if a gradient is not finite."""
@@ -107,7 +107,7 @@ class WithGradient(Target):
         return State(positions, slope.log_prob, slope.gradient), info
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Return the state with its gradient, and the cost; None if the state already has the gradient."""
+        """Add the gradient if the state lacks it; return the state, and the cost or None if none was missing."""
         if state.gradient is not None:
             return state, None
         begun, cost = self.start(state.position)
@@ -125,7 +125,7 @@ class ExactGradient(WithGradient):
     """Evaluates a density that computes its own gradient, at `solves_per_gradient` solves per point."""
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Return log-densities and gradients at `position`, shape (n, ndim), for the chains of index `chain`."""
+        """Return log-densities and gradients at `position` (n, ndim), for the chains with indices `chain`."""
         log_prob, gradient = self.log_prob_and_grad(position, chain)
         finite = np.isfinite(log_prob) & np.all(np.isfinite(gradient), axis=1)
         return Slope(log_prob, gradient, finite, np.full(len(position), self.solves_per_gradient, dtype=np.int64))
@@ -139,17 +139,17 @@ class ExactGradient(WithGradient):
 class CentralDifference(WithGradient):
     """Evaluates a density and its central-difference gradients, eq. (15) of the paper with V = −log P.
 
-    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i). A perturbed point outside the box is
-    moved to the wall, and the difference is divided by the remaining distance. A gradient takes 2 ndim solves
-    everywhere (at a wall it is one-sided), and the log-density takes one more solve.
+    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i). A perturbed point outside the bounds
+    is moved to the bound, and the difference is divided by the remaining distance. A gradient takes 2 ndim solves
+    everywhere (at a bound it is one-sided), and the log-density takes one more solve.
 
     Parameters
     ----------
     density : LogDensity
     delta : ndarray, shape (ndim,)
-        The perturbation vector Δ, in scaled units.
+        Perturbation vector Δ, in scaled units.
     h : float
-        The scalar that multiplies Δ.
+        Scalar that multiplies Δ.
     """
 
     def __init__(self, density: LogDensity, delta: FloatArray, h: float) -> None:
@@ -201,11 +201,11 @@ def drift(
     upper: FloatArray,
     max_bounces: IntArray,
 ) -> Drift:
-    """Move each point with velocity v = M⁻¹ p for its duration, reflecting it at the walls of the box.
+    """Move each point with velocity v = M⁻¹ p for its duration, reflecting it at the bounds.
 
-    A wall with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This reverses the normal velocity and
-    conserves the kinetic energy; the map is reversible and preserves volume. With a dense metric, a reflection
-    changes the other velocities too. The walls are therefore treated in the order in which the path meets them.
+    A bound with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This reverses the normal velocity
+    and conserves the kinetic energy; the map is reversible and preserves volume. With a dense metric, a reflection
+    changes the other velocities too. Bounds are therefore treated in the order in which the path meets them.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def drift(
     duration : ndarray, shape (n,)
     metric : Metric
     lower, upper : ndarray, shape (ndim,)
-        The box; infinite where there is no wall.
+        Bounds; infinite where there is none.
     max_bounces : ndarray of int, shape (n,)
 
     References
@@ -254,11 +254,11 @@ def drift(
 
 
 class Trajectory(NamedTuple):
-    """Ends of leapfrog trajectories, one per chain.
+    """End points of leapfrog trajectories, one per chain.
 
     Position, momentum and gradient have shape (chains, ndim), the other arrays (chains,). Where `finished` is
-    False, the trajectory was abandoned and its end is meaningless. `n_steps` and `n_solves` count the steps and
-    solves actually taken. `nonfinite` is True where density, gradient, position or momentum became non-finite;
+    False, the trajectory was abandoned and its end point is meaningless. `n_steps` and `n_solves` count the steps
+    and solves actually taken. `nonfinite` is True where density, gradient, position or momentum became non-finite;
     other abandoned trajectories reached the limit on bounces.
     """
 
@@ -275,10 +275,10 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True)
 class HamiltonianKernel(LocalKernel):
-    """Hamiltonian Monte Carlo kernel bound to a density with gradients.
+    """HMC kernel bound to a density with gradients.
 
-    `step_size` has shape () if all chains share one step size, else (chains,); `metric` may also hold one matrix
-    per chain. The other fields are as in `HamiltonianMonteCarlo`.
+    `step_size` has shape () if all chains share one step size, otherwise (chains,); `metric` may also hold one
+    matrix per chain. The other fields are as in `HamiltonianMonteCarlo`.
     """
 
     target: WithGradient
@@ -289,7 +289,7 @@ class HamiltonianKernel(LocalKernel):
     max_bounces: int
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw momenta, follow one trajectory per chain, and accept or reject the end of each trajectory."""
+        """Draw momenta, follow one trajectory per chain, and accept or reject each end point."""
         if state.gradient is None:
             raise ValueError("state: must carry the gradient at its position (got None)")
         chains = len(state.position)
@@ -328,7 +328,7 @@ class HamiltonianKernel(LocalKernel):
             return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
 
     def integrate(self, state: State, momentum: FloatArray, step_size: FloatArray) -> Trajectory:
-        """Take `n_steps` leapfrog steps from `state` with all chains in lockstep, reflecting them at the bounds.
+        """Take `n_steps` leapfrog steps from `state`, all chains in lockstep, with reflection at the bounds.
 
         A trajectory is abandoned if it reaches the limit on bounces, or where density or gradient are not finite.
         Its chain then waits for the other chains and is not evaluated again.
@@ -381,7 +381,7 @@ class HamiltonianKernel(LocalKernel):
 
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the time to the next wall, infinite if there is none, and the coordinate it bounds, both (n,)."""
+    """Return the time to the next bound, infinite if there is none, and the coordinate it limits; both (n,)."""
     # the coordinates move independently between walls: t_i = (wall ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0
@@ -396,5 +396,5 @@ def _rows(x: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _clip_to_box(q: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return `q` clipped to the box; for a few points this is three times as fast as `np.clip`."""
+    """Clip `q` to the bounds; for a few points this is three times as fast as `np.clip`."""
     return np.minimum(np.maximum(q, lower), upper)

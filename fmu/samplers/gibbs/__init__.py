@@ -1,4 +1,4 @@
-"""Gibbs sampling of posteriors with populations over several tests.
+"""Gibbs sampling of posteriors with populations of parameters over several tests.
 
 Reading order: gibbs, main_parameters.
 """

@@ -1,33 +1,31 @@
-"""Gibbs sampling of hierarchical posteriors: the main parameters and the scores of all tests, in turn.
+"""Gibbs sampling of hierarchical posteriors, which moves the main parameters and the test scores in turn.
 
-The score of a parameter in a test is the standardised deviation of its value there from the mean of its
-population. The main parameters are all other parameters. Where tests may be outliers, each step first draws which
-tests are outliers, given their scores, and then the share of outliers. The rest of the step is conditional on
-these draws:
+A test score is the standardised deviation of a parameter's value in that test from its population mean. All other
+parameters are the main parameters. If tests may be outliers, each step first draws which tests are outliers, given
+their scores, and then the share of outliers. The rest of the step is conditional on these draws:
 
-1. A Hamiltonian trajectory moves the main parameters in their density without the scores, which needs no solve of
-   the model (`fmu.posterior.joint.conditional.MarginalOfMain`). The scores move too: they keep their distances
-   from the most probable scores, in units of their standard deviations. One solve of all tests gives the change in
-   the error of the approximation, and the step is accepted or rejected.
+1. A Hamiltonian trajectory moves the main parameters in their density with the scores marginalised, which needs no
+   solve of the model (`fmu.posterior.joint.conditional.MarginalOfMain`). The scores move too: they keep their
+   distances from the most probable scores, in units of their standard deviations. One solve of all tests gives the
+   change in the approximation error, and the step is accepted or rejected.
 2. New scores of all tests are proposed at once, from Student distributions about the most probable scores, which
    are computed to second order (`ScoresGivenMain`). This takes another solve of all tests. Each test's proposal is
    accepted or rejected separately, because the tests are independent given the main parameters.
-3. Where values are correlated in time, step 2 moves one group of tests after another, at one solve per group; the
-   tests of a group are independent given all other tests. The approximations leave out the density of the scores
-   in time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks,
-   alone given the scores, and jointly with its population given the values
-   (`fmu.posterior.joint.conditional.in_time`).
+3. If values are correlated in time, step 2 moves one group of tests after another, at one solve per group; the
+   tests of a group are independent given all other tests. The approximations leave out the scores' density in
+   time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks, alone
+   given the scores, and jointly with its population given the values (`fmu.posterior.joint.conditional.in_time`).
 4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
-5. Where standard deviations of errors are inferred, each takes a random walk given the predicted modes, which are
-   solved for once more.
+5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
+   for once more.
 
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
 2, chosen at random, are random-walk steps of random size instead. They bring back a test whose scores are in a
 tail that the Student distribution lacks, where independent proposals would almost never be accepted.
 
-Where a sudden loss has an unknown date, step 1 is preceded by candidates for the date and the losses in their
-density without the scores (`fmu.posterior.joint.conditional.dates`). They are accepted after a solve, as in 1.
+If a sudden loss has an unknown date, step 1 is preceded by candidates for the date and the losses in their density
+with the scores marginalised (`fmu.posterior.joint.conditional.dates`). They are accepted after a solve, as in 1.
 """
 
 from __future__ import annotations
@@ -57,12 +55,12 @@ from fmu.types import BoolArray, FloatArray, IntArray, LogDensity, Positive
 _FIRST_STEP = 0.5
 _ACCEPT = 0.8
 _NOISE_STEPS, _NOISE_SIZE = 4, 2.0
-"""Number of random-walk steps for each standard deviation of errors, and their size in standard deviations of its
+"""Number of random-walk steps for each error standard deviation, and their size in standard deviations of its
 logarithm at the typical point."""
 _NU = 5.0
-"""Degrees of freedom of the Student distributions from which the other proposals for scores are drawn."""
+"""Degrees of freedom of the Student distributions from which the other score proposals are drawn."""
 _WALKS = 0.35
-"""Probability that the scores of a test are proposed by a random-walk step."""
+"""Probability that a test's scores are proposed by a random-walk step."""
 _SMALLEST = 0.05
 """Size of the smallest random-walk step, in standard deviations; the largest is 1."""
 
@@ -70,13 +68,12 @@ _SMALLEST = 0.05
 @check_arguments
 @dataclass(frozen=True)
 class GibbsSampler(Sampler):
-    """Gibbs sampling of a posterior with populations over several tests (`fmu.JointProblem`).
+    """Gibbs sampler for a posterior with populations over several tests (`fmu.JointProblem`).
 
     Parameters
     ----------
     step_size : float, optional
-        Step size of the trajectories of the main parameters, in standard deviations; learnt in warm-up if not
-        given.
+        Step size of the main parameters' trajectories, in standard deviations; learnt in warm-up by default.
 
     Raises
     ------
@@ -113,13 +110,13 @@ class GibbsSampler(Sampler):
         return GibbsKernel(problem, found, metric, step_size, scaled)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:
-        """Return a tuner that learns the step size during warm-up; None if `step_size` is given."""
+        """Return a tuner that learns the step size during warm-up, or None if `step_size` is given."""
         return GibbsTuner(self, density) if self.step_size is None else None
 
 
 @dataclass(frozen=True)
 class GibbsKernel(MovesOfMain):
-    """Kernel of the Gibbs sampler; the module describes its steps.
+    """Kernel of the Gibbs sampler; the module docstring describes its steps.
 
     Attributes
     ----------
@@ -160,7 +157,7 @@ class GibbsKernel(MovesOfMain):
         return State(position, log_prob, extra={"terms": terms}), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return theta with a new share of outliers, and the prior standard deviations of the scores of each test.
+        """Draw a new share of outliers; return theta, and the prior standard deviations of each test's scores.
 
         The outliers are drawn given the scores, and then their share given the outliers.
         """
@@ -173,10 +170,10 @@ class GibbsKernel(MovesOfMain):
     def _move_all_scores(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Move the scores of all tests; return theta, the terms, the shares of moved tests, and the solve counts.
+        """Move all test scores; return theta, log-likelihood terms, fractions of moved tests, and solve counts.
 
-        Correlation times move too, and with them their populations given the values. The solve for the step of the
-        main parameters is counted here.
+        Correlation times move too, and with them their populations given the values. The count includes the solve
+        for the main parameters' step.
         """
         in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
         if in_time is None:
@@ -199,7 +196,7 @@ class GibbsKernel(MovesOfMain):
         scales: FloatArray = REGULAR,
         part: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Move the scores of a `part` of the tests; return theta, the terms, and the shares of moved tests."""
+        """Move the scores of the tests in `part`; return theta, log-likelihood terms, fractions of moved tests."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z, normal = of.scores.take(theta), of.normal_of(linear)
         walks = rng.random(z.shape[:2]) < _WALKS
@@ -224,7 +221,7 @@ class GibbsKernel(MovesOfMain):
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density terms due to correlation in time of each test's scores, (chains, n_tests)."""
+        """Return the log-density of each test's scores due to correlation in time, (chains, n_tests)."""
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
@@ -232,7 +229,7 @@ class GibbsKernel(MovesOfMain):
     def _move_noise(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Move the standard deviations of the errors; return theta and the terms.
+        """Move the error standard deviations; return theta and the log-likelihood terms.
 
         Each in turn takes a random walk on the logarithmic scale. The predicted modes do not change.
         """
@@ -257,7 +254,7 @@ class GibbsKernel(MovesOfMain):
 
 
 class GibbsTuner:
-    """Tuner of the step size for the trajectories of the main parameters.
+    """Tuner of the step size of the main parameters' trajectories.
 
     Parameters
     ----------
@@ -276,15 +273,15 @@ class GibbsTuner:
         self._take()
 
     def finish_learning(self) -> GibbsSampler:
-        """Return the learnt settings."""
+        """Return the settings with the learnt step size."""
         return replace(self.sampler, step_size=float(np.exp(self.averaging.averaged)))
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         return {"averaging": vars(self.averaging)}
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another tuner returned."""
+        """Restore the state that another tuner's `state` returned."""
         self.averaging = DualAveraging(**state["averaging"])
         self._take()
 

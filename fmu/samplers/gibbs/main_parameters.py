@@ -1,7 +1,7 @@
-"""Steps of the main parameters of a hierarchical posterior, with the scores integrated out.
+"""Steps of the main parameters of a hierarchical posterior, with the test scores marginalised.
 
 The scores move along, so that they keep their distances from the most probable scores in units of their standard
-deviations. One solve of all tests, and the change of the error of the approximation, decide whether a step is
+deviations. One solve of all tests gives the change in the approximation error, which decides whether a step is
 accepted. See `fmu.samplers.gibbs.gibbs`.
 """
 
@@ -21,7 +21,7 @@ from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
 from fmu.types import AnyArray, BoolArray, FloatArray
 
 _LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
-"""Smallest and largest length of a trajectory, in standard deviations. A quarter period is 1.6 if these are right;
+"""Smallest and largest trajectory length, in standard deviations. A quarter period is 1.6 if these are right;
 longer trajectories help where the fitted normal distribution is too narrow."""
 _MANY = 150
 """Number of tests beyond which trajectories are shorter."""
@@ -34,20 +34,20 @@ tail."""
 
 
 class _Target(ExactGradient):
-    """Density of the main parameters with the scores integrated out, for one trajectory.
+    """Density of the main parameters with the test scores marginalised, for one trajectory.
 
     Parameters
     ----------
     marginal : MarginalOfMain
     theta : ndarray, shape (chains, ndim)
-        Points that give the standard deviations of the errors.
+        Points that supply the error standard deviations.
     scales : ndarray, shape (chains, n_tests, p)
         Prior standard deviations of the scores.
 
     Attributes
     ----------
     linear : Linear
-        Densities of the scores at the points evaluated last.
+        Score densities at the points evaluated last.
     """
 
     linear: Linear
@@ -74,7 +74,7 @@ class MovesOfMain:
     problem : UpdatingProblem
     conditionals : Conditionals
     metric : Metric
-        Metric of the trajectories of the main parameters.
+        Metric of the main parameters' trajectories.
     step_size : ndarray, shape ()
         Step size of these trajectories.
     """
@@ -86,17 +86,17 @@ class MovesOfMain:
 
     @property
     def _shrink(self) -> float:
-        """Factor on the trajectory length for many tests: the approximation errors of n tests add up as √n."""
+        """Factor on the trajectory length for many tests, because n tests' approximation errors add up as √n."""
         return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
 
     def move_main(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
-        """Move the main parameters along a trajectory; return theta, the terms, the densities and the statistics.
+        """Move the main parameters along a trajectory.
 
-        The terms are the log-likelihoods of the data, (chains, n_terms), and the densities are those of the scores
-        at the new theta. The statistics are the acceptance probability in the approximate density, which tunes the
-        step size, and whether the chain has moved.
+        Return theta, the log-likelihood terms (chains, n_terms), the score densities at the new theta, and
+        statistics: the acceptance probability in the approximate density, which tunes the step size, and whether
+        the chain has moved.
         """
         marginal, given = self.conditionals.marginal, self.conditionals.scores
         target = _Target(marginal, theta, scales)
@@ -126,7 +126,7 @@ class MovesOfMain:
     def move_dates(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, dict[str, AnyArray]]:
-        """Return theta and terms after candidates for the dates and losses of sudden events, with statistics."""
+        """Propose dates and losses of sudden events; return theta, the log-likelihood terms and statistics."""
         given, shares = self.conditionals.scores, []
         for event in self.conditionals.events:
             moved, gain = event.propose(rng, given, theta, scales)
@@ -149,22 +149,22 @@ class MovesOfMain:
         scales: FloatArray,
         gain: FloatArray,
     ) -> tuple[FloatArray, FloatArray, Linear, BoolArray]:
-        """Accept or reject the main parameters of `moved`, (chains, ndim), after a solve of all tests.
+        """Accept or reject the main parameters of `moved` (chains, ndim) after a solve of all tests.
 
         The scores move along.
 
         Parameters
         ----------
         linear : tuple of Linear
-            The densities of the scores at theta and at `moved`.
+            Score densities at theta and at `moved`.
         gain : ndarray, shape (chains,)
-            The log-ratio by which `moved` is accepted in the approximate density.
+            Log-ratio by which `moved` is accepted in the approximate density.
 
         Returns
         -------
         theta, terms : ndarray
         last : Linear
-            The densities of the scores there.
+            Score densities there.
         accepted : ndarray of bool, shape (chains,)
         """
         given = self.conditionals.scores

@@ -1,4 +1,4 @@
-"""Groups of chains, which are the units of work of a run, and the execution of a chunk of that work.
+"""Groups of chains, which are a run's units of work, and the execution of a chunk of that work.
 
 The chains of a group advance in lockstep with one random generator, and are tuned together. Groups are independent
 of each other. Between two chunks of work a group is plain data, so the result does not depend on which worker does
@@ -27,7 +27,7 @@ WARMUP, DRAWS = "warmup", "draws"
 
 
 class RunContext:
-    """Density, sampler and length of the warm-up, common to all groups of a run.
+    """Density, sampler and warm-up length, common to all groups of a run.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ class RunContext:
 
 @dataclass(frozen=True)
 class GroupState:
-    """A group between two chunks of its work, as plain data.
+    """A group of chains between two chunks of its work, as plain data.
 
     Attributes
     ----------
     first_chain : int
-        Index of the first chain of the group in the run.
+        Index of the group's first chain in the run.
     generator : dict
         State of the bit generator.
     start : ndarray, shape (chains, ndim) or (chains, walkers, ndim), or None
@@ -127,7 +127,7 @@ class ChunkResult:
     group : GroupState
         The group after the chunk.
     failures : list
-        Failures returned by `take_failures` of the density: points without a finite log-density, with the reasons.
+        Points without a finite log-density, with the reasons (the density's `take_failures`).
     """
 
     steps: Steps
@@ -141,7 +141,7 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     Raises
     ------
     ValueError
-        If the log-density is not finite at the starting point of a chain.
+        If the log-density is not finite at a chain's starting point.
     """
     group = _GroupRunner(context, chunk.group)
     began = time.perf_counter()
@@ -162,13 +162,13 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
 
 
 def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
-    """Return the log-densities at a group's positions twice: as stored with the group, and recomputed."""
+    """Return the log-densities at a group's positions, both as stored with the group and as recomputed."""
     held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 
 
 class _GroupRunner:
-    """A group during a chunk of its work.
+    """A group of chains during a chunk of its work.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class _GroupRunner:
         return len(self.state.position)
 
     def step(self, phase: str) -> Info:
-        """Take one step, and learn from it in warm-up; return the diagnostics of the step.
+        """Take one step, and learn from it in warm-up; return the step's diagnostics.
 
         The cost of evaluating the starting points is added to the first step.
         """
@@ -253,7 +253,7 @@ class _GroupRunner:
         )
 
     def _take_kernel(self) -> None:
-        """Select the kernel: the tuner's in warm-up, and afterwards the kernel with the learnt settings."""
+        """Select the kernel: the tuner's in warm-up, afterwards the one with the learnt settings."""
         if self.tuner is None:
             return
         if self.done[WARMUP] < self.context.warmup:
@@ -264,7 +264,7 @@ class _GroupRunner:
 
 
 class _Pace:
-    """Statistics of the steps of a chunk so far, for progress reports."""
+    """Statistics of a chunk's steps so far, for progress reports."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()

@@ -87,7 +87,7 @@ class Steps:
 
 
 class Record:
-    """Arrays of the steps of all chains; arrays of statistics are created when the first steps are written.
+    """Arrays that store the steps of all chains; statistics arrays are created when the first steps are written.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Record:
             self._stats = {name: self._longer(x) for name, x in self._stats.items()}
 
     def write(self, step: int, first_chain: int, steps: Steps) -> None:
-        """Write `steps` of consecutive chains, beginning with chain `first_chain`, from step index `step` on."""
+        """Write `steps` of consecutive chains, starting at chain `first_chain` and step index `step`."""
         chains = slice(first_chain, first_chain + len(steps.position))
         rows = slice(step, step + len(steps))
         self._position[chains, rows] = steps.position

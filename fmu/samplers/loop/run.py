@@ -87,8 +87,8 @@ class Run:
         Called between two chunks of work, at least once a second unless a step takes longer. The run stops if
         `stop` returns True.
     too_many_failed : callable, optional
-        Called as ``too_many_failed(n_failed, n_solves, failures)``; returns a message if too large a share of the
-        solves failed, else None.
+        Called as ``too_many_failed(n_failed, n_solves, failures)``; returns a message if too many of the solves
+        failed, otherwise None.
     live : callable, optional
         Returns diagnostics for progress reports, a mapping of names to numbers, from draws with shape (chains,
         steps, walkers, ndim). It is called with ``ended=True`` for the last report.
@@ -158,7 +158,7 @@ class Run:
 
     @property
     def warmup_solves(self) -> int:
-        """Number of solves of all chains in the warm-up."""
+        """Number of solves of all chains in warm-up."""
         return int(np.sum(self._records[WARMUP].draws(self.warmup).stats.get("n_solves", 0)))
 
     def report_end(self) -> None:
@@ -167,7 +167,7 @@ class Run:
             self._watch.end(self._common(DRAWS))
 
     def _begin_groups(self, init: str | ArrayLike) -> list[_RunningGroup]:
-        """Return the list of groups as they are before their first step."""
+        """Return all groups as they are before their first step."""
         context, walkers = self._context, self.sampler.walkers
         seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
         generators = [np.random.default_rng(child) for child in seeds]
@@ -266,7 +266,7 @@ class Run:
         return self._records[phase].steps(0, min(group.state.done[phase] for group in self._groups)).position
 
     def _so_far(self) -> RunResult | None:
-        """Return the result with the draws that all groups have completed; None if there are none."""
+        """Return the result with the draws that all groups have completed, or None if there are none."""
         drawn = min(group.state.done[DRAWS] for group in self._groups)
         return self._result(drawn) if drawn else None
 
@@ -351,7 +351,7 @@ def _merge_learnt(learnt: list[dict[str, object]]) -> dict[str, object]:
 
 
 class _Watch:
-    """Forwards progress reports, and adds diagnostics of the draws of all groups so far."""
+    """Forwards progress reports, and adds diagnostics of the draws that all groups have completed."""
 
     def __init__(self, progress: Report, live: Callable[..., Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live

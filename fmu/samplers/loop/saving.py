@@ -1,4 +1,4 @@
-"""Saving of runs: the saved data of a group of chains, the checkpointer, and exceptions that end a run early."""
+"""Saving of runs: a group's saved data, the checkpointer, and exceptions that end a run early."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class TooManyFailuresError(RunFailedError):
-    """Raised when too large a share of the solves has failed.
+    """Raised when too many of the solves have failed.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class PendingGroup(NamedTuple):
 
 
 class Checkpointer(Protocol):
-    """Saves the draws and states of the groups, from which an aborted run can be resumed.
+    """Saves the groups' draws and states, from which an aborted run can be resumed.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Checkpointer(Protocol):
     most_seconds: float
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return the last saved data of a group; None if it has never been saved."""
+        """Return the last saved data of a group, or None if it has never been saved."""
         ...
 
     def is_due(self, group: int, steps: int) -> bool:

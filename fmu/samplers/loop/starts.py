@@ -1,4 +1,4 @@
-"""Starting points of the chains, and their checks."""
+"""Starting points of the chains, and checks on them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray
 
 BALL = 0.02
-"""Standard deviation, in scaled units, of the walkers of an ensemble around a common starting point."""
+"""Standard deviation, in scaled units, of an ensemble's walkers around a common starting point."""
 
 
 def starting_points(
@@ -30,7 +30,7 @@ def starting_points(
     generators : list of Generator
         One generator per group; the chains are divided equally among the groups.
     chains, walkers : int
-        `walkers` is 1 for samplers whose chain is a single point.
+        `walkers` is 1 for samplers with ordinary chains.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def starting_points(
 
 
 def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
-    """Raise ValueError, naming the first starting point that is not finite or is outside the bounds, if any."""
+    """Raise ValueError if a starting point is not finite or is outside the bounds, and name the first."""
     inside = (theta >= scaled.theta_lower) & (theta <= scaled.theta_upper) & np.isfinite(theta)
     if not inside.all():
         *where, i = (int(k) for k in np.argwhere(~inside)[0])
@@ -79,7 +79,7 @@ def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
 
 
 def check_finite(scaled: ScaledDensity, position: FloatArray, log_prob: FloatArray, first_chain: int) -> None:
-    """Raise ValueError, naming the first starting point whose log-density is not finite, if any."""
+    """Raise ValueError if the log-density is not finite at a starting point, and name the first."""
     bad = np.argwhere(~np.isfinite(log_prob))
     if len(bad):
         chain, *rest = (int(k) for k in bad[0])
@@ -95,7 +95,7 @@ def _label(where: list[int]) -> str:
 
 
 def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
-    """Return walkers spread around `u` and reflected at the walls; no two walkers coincide."""
+    """Return walkers spread around `u` and reflected at the bounds; no two walkers coincide."""
     spread = u + BALL * rng.standard_normal(u.shape)
     spread = np.where(spread < scaled.lower, 2 * scaled.lower - spread, spread)
     return np.where(spread > scaled.upper, 2 * scaled.upper - spread, spread)

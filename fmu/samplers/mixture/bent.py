@@ -15,7 +15,7 @@ MOST = 32
 _SWEEPS, _LITTLE = 12, 2e-3
 """Largest number of sweeps in a fit, and smallest gain in log-likelihood per point that is worth another sweep."""
 _POINTS, _PER_GAUSSIAN = 4, 20
-"""Effective number of points needed per coefficient of a bend, and per coordinate of a Gaussian."""
+"""Effective number of points needed per coefficient of a bend b_i, and per coordinate of a Gaussian."""
 PENALTY = 3.0
 """Gain in log-likelihood required per coefficient. Weighted points carry less information than the same number of
 independent points: Akaike's criterion, 1, leaves too many Gaussians, which collapse onto single points."""

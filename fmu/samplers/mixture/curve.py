@@ -13,16 +13,16 @@ HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 BETTER = 0.05
 """Smallest gain in log-likelihood per point for which a bend is used."""
 _USELESS = 0.01
-"""Gain in log-likelihood per point below which a bend drops a coordinate."""
+"""Gain in log-likelihood per point below which a coordinate is left out of m_k and s_k."""
 _FAR = 6.0
 """Number of standard deviations beyond which polynomials are held constant."""
 _SWEEPS, _NEWTON_STEPS = 8, 30
 _POINTS = 5
-"""Effective number of points needed per coefficient of a bend."""
+"""Effective number of points needed per coefficient of m_k or s_k."""
 _LEAST, _MOST_SHAPE = 1e-2, 1e3
 _INFINITE, _ENOUGH, _NEAREST = 0.8, 100, 0.1
-"""Shape parameter of a beta distribution below which a density counts as infinite at a wall; effective number of
-points needed for this decision; share of the points used, nearest to the wall."""
+"""Shape parameter of a beta distribution below which a density counts as infinite at a bound; effective number of
+points needed for this decision; fraction of the points used, nearest to the bound."""
 _PRODUCTS = 8e6
 """Largest product of the number of points and the squared number of coefficients in a fit; it takes 0.1 s."""
 _TINY, _EPS = 1e-300, 2.0**-53

@@ -13,7 +13,7 @@ from fmu.samplers.mixture.curve import Curve, fit_curve, thin_points
 from fmu.types import FloatArray
 
 _WIDE, _SAFE = 0.1, 0.05
-"""Shares of the wider copies, and of the t distribution."""
+"""Weight fractions of the wider copies, and of the t distribution."""
 _WIDER, _DF = 1.5, 3.0
 """Width of the t distribution relative to the points, and its degrees of freedom."""
 _MOST_POINTS = 6000

@@ -16,8 +16,8 @@ BLOCK = 25
 """Number of candidates per chain that are evaluated in one batch, since they do not depend on the position of the
 chain."""
 LOG_WEIGHT, CANDIDATE = "log_weight", "candidate_log_weight"
-"""Names of two statistics of a run: log P − log q after each step, and at the candidate of the step (NaN if
-none)."""
+"""Names of two statistics of a run: log P − log q after each step, and at the step's candidate (NaN without a
+candidate)."""
 _FAR = 50.0
 _OF_BLOCK = ("position", "log_prob", "log_weight")
 _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"

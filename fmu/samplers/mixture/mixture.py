@@ -25,8 +25,8 @@ from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
 
 _JUMPS, _JUMPS_IF_GOOD = 39, 79
-"""Numbers of candidates per local step. A local step takes about ten evaluations, that is a fifth or a tenth of
-all."""
+"""Numbers of candidates per local step, without and with a good fit. A local step takes about ten evaluations,
+which is a fifth or a tenth of all."""
 
 
 @check_arguments

@@ -32,7 +32,7 @@ share, and the share for a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 
 _POINTS = 3
 """Number of points per coefficient needed to fit a quadratic."""
 _LEAST = 1e-3
-"""Share of the probability below which a component with too few points is dropped."""
+"""Fraction of the probability below which a component with too few points is dropped."""
 _SURE = 6.0
 """Effective number of points per coefficient above which a fit needs no cross-validation."""
 _MILDER = 0.7

@@ -47,14 +47,14 @@ class Points(NamedTuple):
         return self.log_prior + np.where(t > 0.0, t, 1.0) * np.where(t > 0.0, self.log_likelihood, 0.0)
 
     def gradient(self, t: FloatArray) -> FloatArray | None:
-        """Return the gradient of `log_prob`, for t > 0."""
+        """Return the gradient of `log_prob` for t > 0, or None if gradients were not evaluated."""
         if self.prior_gradient is None or self.likelihood_gradient is None:
             return None
         return self.prior_gradient + t[..., None] * self.likelihood_gradient
 
 
 class PriorAndLikelihood:
-    """Prior and likelihood of a density, evaluated separately in the coordinates of the samplers.
+    """A density's prior and likelihood, evaluated separately in the samplers' coordinates.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class PriorAndLikelihood:
         self.solves_each = Target(density).solves_per_gradient if with_gradients else 1  # solves per point
 
     def points(self, u: FloatArray) -> Points:
-        """Evaluate priors, likelihoods and, if needed, gradients at u, shape (n, ndim), in one batch."""
+        """Evaluate priors, likelihoods and, if needed, gradients at u (n, ndim) in one batch."""
         theta = u if self.scaled is None else self.scaled.to_theta(u)
         if not self.with_gradients:
             return Points(u, self.density.log_prior(theta), _replace_failures(self.density.log_likelihood(theta)))
@@ -93,14 +93,14 @@ class PriorAndLikelihood:
         )
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws from the prior, shape (n, ndim)."""
+        """Return `n` draws from the prior in the samplers' coordinates, shape (n, ndim)."""
         theta = np.asarray(self.density.sample_prior(rng, n), dtype=float)
         u = theta if self.scaled is None else self.scaled.to_scaled(theta)
         return np.clip(u, self.given.lower, self.given.upper)
 
 
 class TemperedTarget(ExactGradient):
-    """Tempered densities of the replicas for one step of a kernel; stores the last evaluation of each replica.
+    """Tempered densities of the replicas for one kernel step; stores each replica's last evaluation.
 
     Parameters
     ----------
@@ -117,11 +117,11 @@ class TemperedTarget(ExactGradient):
         self.last = start.each(np.copy)
 
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
-        """Return the tempered log-densities at `position`, shape (n, ndim), for the replicas of index `chain`."""
+        """Return the tempered log-densities at `position` (n, ndim), for the replicas with indices `chain`."""
         return self._evaluate(position, chain).log_prob(self.t[chain])
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the tempered log-densities and their gradients."""
+        """Return the tempered log-densities and their gradients, for the replicas with indices `chain`."""
         points, t = self._evaluate(position, chain), self.t[chain]
         gradient = points.gradient(t)
         assert gradient is not None  # the parts were made with gradients
@@ -151,5 +151,5 @@ class TemperedTarget(ExactGradient):
 
 
 def _replace_failures(log_likelihood: FloatArray) -> FloatArray:
-    """Return the log-likelihood with −inf wherever the model failed."""
+    """Replace log-likelihoods that are not finite, because the model failed, by −inf."""
     return np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf)

@@ -25,11 +25,11 @@ class TemperingKernel:
 
     - the fields of `Points` for all replicas, with leading axes (rungs, chains), named ``rung_position`` etc.;
     - ``heading``, (rungs, chains): 1 for a replica that was last at the posterior, 2 for a replica that has been
-      at the prior since then, else 0;
+      at the prior since then, otherwise 0;
     - ``n_steps``, (): the number of steps taken.
 
-    The extra statistics of the Info include ``round_trips``. `Info.parts` contains the diagnostics of the steps of
-    the replicas. Its leading axis has length (rungs − 1) · chains, in order of the rungs above the prior.
+    The extra statistics of the Info include ``round_trips``. `Info.parts` contains the diagnostics of the
+    replicas' steps. Its leading axis has length (rungs − 1) · chains, in order of the rungs above the prior.
     """
 
     parts: PriorAndLikelihood
@@ -103,7 +103,7 @@ class TemperingKernel:
         return end.each(lambda a: a.reshape(rungs, chains, *a.shape[1:])), info
 
     def _order_after_swaps(self, rng: np.random.Generator, log_likelihood: FloatArray, first: int) -> IntArray:
-        """Return the rung that each rung's replica comes from after swaps of even or odd pairs, (rungs, chains).
+        """Swap even or odd pairs of rungs; return the rung from which each rung's replica comes, (rungs, chains).
 
         A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where
         l is the log-likelihood: the priors cancel in the ratio of the joint densities after and before the swap.
@@ -120,7 +120,7 @@ class TemperingKernel:
 
 
 def _take_in_order(values: AnyArray, order: IntArray) -> AnyArray:
-    """Return the values (rungs, chains, ...) reordered along the rungs according to `order` (rungs, chains)."""
+    """Reorder values (rungs, chains, ...) along the rungs according to `order` (rungs, chains)."""
     return values[order, np.arange(order.shape[1])]
 
 

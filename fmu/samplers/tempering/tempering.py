@@ -2,8 +2,7 @@
 
 The inverse temperatures t_k form a ladder of rungs. A swap between neighbouring rungs k and k+1 is rejected with
 probability r_k. The sum Λ of all r_k is the communication barrier between prior and posterior; with many rungs it
-hardly depends on the positions of the rungs. Replicas travel fastest if all r_k are equal and there are about 2Λ
-rungs.
+hardly depends on their positions. Replicas travel fastest if all r_k are equal and there are about 2Λ rungs.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ FEWEST, MOST = 8, 64
 FIRST = 12
 """Number of rungs before the ladder is learnt."""
 _POWER = 5.0
-"""Exponent of the initial ladder, with rungs at (k/K)⁵ because posteriors are far narrower than priors (Friel &
+"""Exponent of the initial ladder, with rungs at (k/K)⁵, because posteriors are far narrower than priors (Friel &
 Pettitt 2008)."""
 _SHORTEST = 20  # fewest steps of a stage of the warm-up
 _LEAST = 1e-3  # smallest rejection probability that the interpolation uses, so that the barrier increases
@@ -53,7 +52,7 @@ class Tempering(Sampler):
         Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings. After warm-up
         it is a tuple with settings for each of these rungs.
     temperatures : array_like, shape (rungs,), optional
-        Inverse temperatures from 0 to 1; learnt in warm-up if not given.
+        Inverse temperatures from 0 to 1; learnt in warm-up by default.
     rungs : int, optional
         Number of rungs of the learnt ladder. The default is about 2Λ + 1, where Λ is the communication barrier
         found in warm-up. Half of all swaps then succeed, which is the best use of the solves (Syed et al. 2022,
@@ -110,8 +109,8 @@ class Tempering(Sampler):
         Raises
         ------
         ValueError
-            If the density does not consist of a likelihood and a prior from which draws can be made, or a setting
-            of the kernel does not fit the density.
+            If the density has no separate likelihood and prior that can be sampled, or a setting of the kernel
+            does not fit the density.
         """
         t = first_ladder(self.rungs) if self.temperatures is None else np.asarray(self.temperatures)
         kernels = {id(kernel): kernel.bind(density) for kernel in self._kernels(1)}
@@ -120,25 +119,25 @@ class Tempering(Sampler):
         return TemperingKernel(parts, t, bound, self.swap_every)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
-        """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if both are given."""
+        """Return a tuner that learns ladder and kernels in `steps` warm-up steps, or None if both are given."""
         learns = not self._is_by_rung and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 
     @property
     def _is_by_rung(self) -> bool:
-        """Whether each rung has its own settings."""
+        """Whether each rung has its own kernel settings."""
         return isinstance(self.kernel, tuple)
 
     def _kernels(self, rungs: int) -> tuple[LocalSampler, ...]:
-        """Return the settings of the kernels at the `rungs` rungs above the prior."""
+        """Return the kernel settings at the `rungs` rungs above the prior."""
         return self.kernel if self._is_by_rung else (self.kernel,) * rungs
 
 
 class LadderTuner:
-    """Tuner of the ladder, which changes between the stages of the warm-up, and of the kernel at each rung.
+    """Tuner of the ladder, which changes between the stages of warm-up, and of the kernel at each rung.
 
     Each rung above the prior has its own tuner, which learns from the replicas at that rung and is restarted in
-    every stage. The last stage, half of the warm-up, already uses the final ladder.
+    every stage. The last stage, half of warm-up, already uses the final ladder.
     """
 
     def __init__(self, sampler: Tempering, density: LogDensity, chains: int, steps: int) -> None:
@@ -162,12 +161,12 @@ class LadderTuner:
             self._take_kernels([tuner.kernel for tuner in self.tuners])
 
     def finish_learning(self) -> Tempering:
-        """Return the learnt settings."""
+        """Return the settings with the learnt ladder and kernels."""
         kernel = tuple(tuner.finish_learning() for tuner in self.tuners) or self.sampler.kernel
         return replace(self.sampler, kernel=kernel, temperatures=self.temperatures, rungs=len(self.temperatures))
 
     def state(self) -> Tree:
-        """Return the state of the tuner as plain data."""
+        """Return the tuner's state as plain data."""
         return {
             "lengths": self.lengths,
             "temperatures": self.temperatures,
@@ -176,7 +175,7 @@ class LadderTuner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another tuner returned."""
+        """Restore the state that another tuner's `state` returned."""
         self.lengths = list(state["lengths"])
         self._begin(state["temperatures"])
         self.log_likelihood = list(state["log_likelihood"])
@@ -186,7 +185,7 @@ class LadderTuner:
             self._take_kernels([tuner.kernel for tuner in self.tuners])
 
     def _begin(self, temperatures: FloatArray) -> None:
-        """Begin a stage of the warm-up with the given inverse temperatures."""
+        """Begin a stage of warm-up with the given inverse temperatures."""
         self.temperatures = temperatures
         self.log_likelihood = []
         above = len(temperatures) - 1
@@ -230,7 +229,7 @@ def first_ladder(rungs: int | None) -> FloatArray:
 
 
 def stages(steps: int) -> list[int]:
-    """Return the lengths in steps of the warm-up stages, between which the ladder changes.
+    """Return the lengths, in steps, of the warm-up stages between which the ladder changes.
 
     Each stage but the first is about as long as all previous stages together.
     """
@@ -259,8 +258,8 @@ def rejections(log_likelihood: FloatArray, temperatures: FloatArray) -> FloatArr
 def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | None) -> FloatArray:
     """Return the inverse temperatures at which all swaps are expected to be rejected equally often.
 
-    The barrier from 0 to each rung, Λ(t_k) = r_0 + … + r_{k−1}, is interpolated monotonically and cut into equal
-    parts (Syed et al. 2022).
+    The barrier from 0 to each rung, Λ(t_k) = r_0 + … + r_{k−1}, is interpolated monotonically and divided into
+    equal parts (Syed et al. 2022).
 
     Parameters
     ----------

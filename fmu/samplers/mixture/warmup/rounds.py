@@ -15,7 +15,7 @@ from fmu.types import FloatArray
 PER_ROUND = 2000
 """Number of candidates in a round."""
 ENOUGH = 0.45
-"""Efficiency which, if reached in two successive rounds, makes further rounds unnecessary."""
+"""Efficiency that makes further rounds unnecessary if two successive rounds reach it."""
 _TWICE = 2
 _MILDER = 0.8
 _LEAST_POINTS = 60

@@ -22,7 +22,7 @@ from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, IntArray, LogDensity
 
 _LOCAL_PART = 0.5
-"""Fraction of the warm-up that consists of local steps if no component is known."""
+"""Fraction of the warm-up that consists of local steps if no components are given."""
 _FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Fractions of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
@@ -30,7 +30,7 @@ _JUDGED = 3
 """Index of the first fit after which the acceptance rate of candidates decides whether local steps prevail."""
 _RARE, _OFTEN = 0.1, 0.3
 """Acceptance rate of candidates in the worst chain below which most steps become local, and above which most steps
-are candidates again. A local step gives about 0.05 effective draws per evaluation."""
+are candidates again. A local step gives an ESS of about 0.05 per evaluation."""
 _LOCAL_STEPS = 3
 """Local steps per candidate if candidates are rarely accepted."""
 _ENOUGH_JUMPS, _ENOUGH_STEPS = 20, 100
@@ -39,13 +39,13 @@ a metric from them."""
 _LEAST_WALK, _WALK_SOLVES = 50, 1000
 """Numbers of local steps and of evaluations per chain that are needed to show the density roughly."""
 _CANDIDATES = 5
-"""Largest number of candidates for the fit of a curved mixture, per step of the warm-up and chain."""
+"""Largest number of candidates for fitting a curved mixture, per warm-up step and chain."""
 _WORTH = 0.02
-"""Effective number of draws per candidate of a curved mixture below which local steps are more efficient."""
+"""Efficiency (ESS per candidate) of a curved mixture below which local steps are more efficient."""
 _CURVED_CYCLE = 1, 79
 """Numbers of local steps and of candidates in each cycle, for a curved mixture."""
 _HEAVY, _FITS_BADLY = 1.6, 0.8
-"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and effective share below which Gaussians fit
+"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and ESS per draw below which Gaussians fit
 heavy tails badly."""
 
 
