@@ -1,4 +1,4 @@
-"""Anchors: points of a box at which K is factorised, and from which K is bounded elsewhere in the box.
+"""Anchor points: points in a parameter box at which K is factorised, and which bound K elsewhere in the box.
 
 If every term K_k is positive semidefinite, then
 
@@ -40,12 +40,12 @@ NO_MODES = "the eigenproblem of K and M has no solution"
 
 
 class SingularAnchorError(ValueError):
-    """The error for a singular K + s M: a displacement has neither stiffness nor mass, or has negative mass.
+    """Raised for a singular K + s M: some displacement has neither stiffness nor mass, or has negative mass.
 
     Attributes
     ----------
     parameter : int or None
-        Index of a parameter that is zero at the anchor; None if there is none.
+        Index of a parameter that is zero at the anchor point, or None if there is none.
     """
 
     def __init__(self, message: str, parameter: int | None = None) -> None:
@@ -54,16 +54,16 @@ class SingularAnchorError(ValueError):
 
 
 class Far(NamedTuple):
-    """A point that is far from every anchor, so that errors are not bounded well there.
+    """A point so far from every anchor point that errors are not bounded well there.
 
     Attributes
     ----------
     theta : ndarray, shape (n_parameters,)
         The point.
     parameter : int
-        Index of the parameter whose value makes the point far: resetting it to the first anchor's helps most.
+        Index of the parameter mainly responsible: resetting it to its value at the first anchor point helps most.
     value : float
-        Limit of this parameter, found by bisection, beyond which the point is far.
+        Value of this parameter beyond which the point is far, found by bisection.
     is_above : bool
         True if the point is far above `value`, False if below.
     is_negative : bool
@@ -78,7 +78,7 @@ class Far(NamedTuple):
 
 
 class Anchors:
-    """The anchors of one block, at which K + s M is factorised.
+    """Anchor points for one block, at which K + s M is factorised.
 
     Parameters
     ----------
@@ -89,10 +89,10 @@ class Anchors:
     Attributes
     ----------
     theta : ndarray, shape (n_anchors, n_parameters)
-        The anchors; the first lies in the middle of the box.
+        The anchor points; the first lies in the middle of the box.
     shift : float
-        The shift s of K + s M. It is 0 if K is clearly positive definite at all anchors; otherwise it is of the
-        size of the lowest elastic eigenvalue.
+        The shift s in K + s M. It is 0 if K is clearly positive definite at all anchor points; otherwise it is
+        about the lowest elastic eigenvalue.
     proven : bool
         Whether all terms are positive semidefinite, with coefficients that are not negative in the box. If not, α
         is estimated as the smallest eigenvalue of the reduced matrices.
@@ -100,7 +100,7 @@ class Anchors:
     Raises
     ------
     SingularAnchorError
-        If K + s M is singular at an anchor.
+        If K + s M is singular at an anchor point.
     """
 
     def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray) -> None:
@@ -124,7 +124,7 @@ class Anchors:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state without the factors, which cannot be pickled, and without the cached first matrix."""
+        """Return the state for pickling, without the factors, which cannot be pickled, and the first matrix."""
         return {name: value for name, value in self.__dict__.items() if name != "first"} | {"_factors": {}}
 
     @property
@@ -143,17 +143,17 @@ class Anchors:
             return False
 
     def matrix(self, a: int) -> Matrix:
-        """Return the sparse matrix K + s M at the anchor of index `a`."""
+        """Return the sparse matrix K + s M at anchor point `a`."""
         ((K, M),) = self.block._matrices(self.theta[a : a + 1])
         return K + self.shift * M if self.shift else K
 
     @cached_property
     def first(self) -> Matrix:
-        """The matrix K + s M at the first anchor, which defines the inner product of training."""
+        """Matrix K + s M at the first anchor point, which defines the inner product used in training."""
         return self.matrix(0)
 
     def factor(self, a: int) -> Factor:
-        """Return the factors of K + s M at the anchor of index `a`; SingularAnchorError if it is not definite."""
+        """Return the factors of K + s M at anchor point `a`. Raise SingularAnchorError if it is not definite."""
         if a not in self._factors:
             try:
                 found = self._kept_factor(a) or factorise(self.matrix(a))
@@ -169,10 +169,10 @@ class Anchors:
         return self._factors[a]
 
     def solve(self, a: int, loads: FloatArray) -> FloatArray:
-        """Return (K + s M)⁻¹ b at the anchor of index `a`, for b of shape (n_dof, m).
+        """Return (K + s M)⁻¹ b at anchor point `a`, for b of shape (n_dof, m).
 
-        For a large block the columns are solved for in strips, by the workers of its engine if there is one
-        (`FullBlock.spread_over`), each with factors of its own. No bit depends on the engine.
+        For a large block the columns are solved in strips, by the workers of its engine if there is one
+        (`FullBlock.spread_over`). Each worker has its own factors. No bit of the result depends on the engine.
         """
         if self.block.size < LARGE or loads.shape[1] <= _STRIP:
             return self.factor(a).solve(loads)
@@ -180,11 +180,14 @@ class Anchors:
         return np.concatenate(self.run_tasks(_solve_there, strips), axis=1)
 
     def run_tasks[Task, Result](self, work: Work[Anchors, Task, Result], tasks: Iterable[Task]) -> list[Result]:
-        """Return the results of tasks that need the anchors; see `FullBlock.run_tasks`."""
+        """Run tasks that need the anchor points, and return their results; see `FullBlock.run_tasks`."""
         return self.block.run_tasks(work, self, tasks, sum(of.n_bytes for of in self._factors.values()))
 
     def _kept_factor(self, a: int) -> Factor | None:
-        """Return the factors of a large clearly definite K, which its block may have kept from its last solve."""
+        """Return the factors of a large, clearly definite K, possibly stored by the block since its last solve.
+
+        Returns None for any other K.
+        """
         if self.shift or self.block.size < LARGE:
             return None
         if a not in self._factors and (found := self.block.clear_factor(self.theta[a])) is not None:
@@ -192,7 +195,7 @@ class Anchors:
         return self._factors.get(a)
 
     def modes(self, count: int) -> Space:
-        """Return the space of the full model's lowest modes at all anchors, `count` per anchor and a few more."""
+        """Return the space of the full model's lowest modes, `count` and a few more, at all anchor points."""
         if self._modes is None or self._modes.size < count:
             space = Space.empty(self.block, self.shift)
             for at in self.theta:
@@ -205,9 +208,9 @@ class Anchors:
         return self._modes
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
-        """Return the index (n,) of the anchor that bounds K best at each theta (n, p), and its α (n,).
+        """Return the anchor point that bounds K best at each theta (n, p), as an index (n,), and its α (n,).
 
-        α is not positive where no anchor gives a bound.
+        α is not positive where no anchor point gives a bound.
         """
         low, tight = self._tight(theta)
         best = np.argmax(tight, axis=0)
@@ -215,7 +218,7 @@ class Anchors:
         return best, alpha if self.proven else self._estimate_alpha(theta, best, space)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return the upper bound (n,) of the ratio of K + s M at theta (n, p) to K + s M at the first anchor.
+        """Return an upper bound (n,) on the ratio between K + s M at theta (n, p) and at the first anchor point.
 
         The bound is infinite if it is not `proven`.
         """
@@ -224,7 +227,7 @@ class Anchors:
         return np.asarray(np.max(self._ratios(theta, self.theta[0]), axis=1))
 
     def far(self, theta: FloatArray, space: Space) -> Far | None:
-        """Return the point of theta (n, p) that is farthest from all anchors, or None if no point is far."""
+        """Return the point in theta (n, p) that is farthest from all anchor points, or None if no point is far."""
 
         def near(points: FloatArray) -> FloatArray:
             if self.proven:
@@ -248,9 +251,10 @@ class Anchors:
         return Far(theta[i], j, outer, outer > self.theta[0, j], not self.proven and tight[i] <= 0.0)
 
     def _tight(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return α of every anchor at theta (n, p), and α over the largest ratio, both of shape (n_anchors, n).
+        """Return α for every anchor point at theta (n, p), and α divided by the largest coefficient ratio.
 
-        The second array is −1 where α is not positive. A largest ratio below 1 counts as 1.
+        Both have shape (n_anchors, n). The second array is −1 where α is not positive. A largest ratio below 1
+        counts as 1.
         """
         ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
         low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
@@ -282,10 +286,10 @@ def _solve_there(anchors: Anchors, task: tuple[int, FloatArray], _: object) -> F
 
 
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return anchors (n_anchors, p) of a box: its middle, and the middles of its parts if a stiffness varies much.
+    """Return anchor points (n_anchors, p): the middle of a box, or of its parts if a stiffness varies much.
 
-    A part is divided along the parameter with the largest ratio of its bounds, if that exceeds `_WIDE`, until
-    there are `_MOST` anchors. Parameters that change no stiffness are not divided.
+    A part is divided along the parameter with the largest ratio between its bounds, if that exceeds `_WIDE`, until
+    there are `_MOST` anchor points. Parameters that change no stiffness are not divided.
     """
     varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
     anchors, parts = [_middle(lower, upper)], [(lower, upper)]
@@ -311,6 +315,6 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
 
 
 def _middle(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the middle (p,) of bounds: the geometric mean where upper > 2 lower > 0, else the arithmetic mean."""
+    """Return the middle (p,) of the bounds: the geometric mean if upper > 2 lower > 0, otherwise the mean."""
     with np.errstate(invalid="ignore"):
         return np.where((lower > 0.0) & (upper > 2.0 * lower), np.sqrt(lower * upper), 0.5 * (lower + upper))

@@ -1,6 +1,6 @@
-"""The parametric reduced basis: one fixed basis for every theta of a box.
+"""The parametric reduced basis: one fixed basis for every theta in a parameter box.
 
-K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta of a box lie close to a space of
+K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta in a box lie close to a space of
 few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition to a basis that is
 orthonormal in the mass matrix at the box's centre. Every term is projected onto the basis once. A solve is then a
 dense eigenproblem of order 10 to 50, whatever the size of the structure, and a batch of solves is one call of
@@ -37,13 +37,13 @@ _FINITE = 1e-14
 
 
 class ReducedBlock(Block):
-    """One block of a structure, projected onto a basis and solved in batches.
+    """A block of a structure projected onto a reduced basis, and solved in batches.
 
     Parameters
     ----------
     block : FullBlock
     basis : ndarray, shape (block.size, r)
-        The basis vectors, orthonormal in the mass matrix at the box's centre.
+        Basis vectors, orthonormal in the mass matrix at the box's centre.
     n_trained : int
         Number of lowest modes that the basis was trained for.
 
@@ -74,7 +74,7 @@ class ReducedBlock(Block):
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state without the arrays that are views of the projected terms."""
+        """Return the state for pickling, without arrays that are only views of the projected terms."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -83,11 +83,11 @@ class ReducedBlock(Block):
 
     @property
     def terms(self) -> tuple[FloatArray, FloatArray]:
-        """Projected terms of K and of M, each an array of shape (n_terms, r, r)."""
+        """Projected stiffness and mass terms, each an array of shape (n_terms, r, r)."""
         return self._K, self._M
 
     def truncate(self, size: int) -> Self:
-        """Return a copy of the block with only the first `size` vectors of its basis."""
+        """Return a copy of the block with only the first `size` basis vectors."""
         leading = copy.copy(self)
         leading.basis, leading.size = self.basis[:, :size], size
         leading.n_modes = min(self.n_modes, size)
@@ -97,8 +97,7 @@ class ReducedBlock(Block):
     def coarser(self, share: float) -> Self:
         """Return the block with the leading fraction `share` of its basis, or itself if no vector is removed.
 
-        At least `n_trained` vectors are kept, and all of a basis with as many vectors as the block has degrees of
-        freedom.
+        At least `n_trained` vectors remain. A basis with as many vectors as degrees of freedom is never reduced.
         """
         few = max(self.n_trained, math.ceil(share * self.size))
         return self.truncate(few) if few < self.size < len(self.dofs) else self
@@ -145,21 +144,27 @@ class ReducedBlock(Block):
         return dK, dM
 
     def stiffness_terms(self, theta: FloatArray) -> FloatArray:
-        """Return the projected stiffness terms with their coefficients at theta, (n, n_terms, r, r)."""
+        """Return the projected stiffness terms times their coefficients at theta, (n, n_terms, r, r)."""
         return self._K_map.coefficients(theta)[:, :, None, None] * self._K
 
     def stiffness_changes(self, theta: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return Σ_k w_k ∂c_k/∂θ K_k, (n, n_parameters, r, r), for weights w of the terms, (n, n_terms)."""
+        """Return Σ_k w_k ∂c_k/∂θ K_k, (n, n_parameters, r, r), for term weights w (n, n_terms)."""
         n, r = len(theta), self.size
         weighted = weights[:, :, None] * self._K.reshape(len(self._K), -1)
         return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
 
     def pull_back_terms(self, theta: FloatArray, by_terms: FloatArray) -> FloatArray:
-        """Return the derivatives by theta, (n, n_parameters), given those by the coefficients of K."""
+        """Convert derivatives with respect to K's coefficients to derivatives with respect to theta.
+
+        The result has shape (n, n_parameters).
+        """
         return self._K_map.contract(theta, by_terms[..., None])[:, 0]
 
     def pull_back(self, theta: FloatArray, by_K: FloatArray, by_M: FloatArray) -> FloatArray:
-        """Return derivatives by theta, (n, n_parameters), given those by K and by M, (n, r, r) each."""
+        """Convert derivatives with respect to K and M, each (n, r, r), to derivatives with respect to theta.
+
+        The result has shape (n, n_parameters).
+        """
         of_K, of_M = (
             coefficient.contract(theta, np.einsum("nij,kij->nk", by, matrices)[..., None])[:, 0]
             for coefficient, by, matrices in ((self._K_map, by_K, self._K), (self._M_map, by_M, self._M))
@@ -167,15 +172,15 @@ class ReducedBlock(Block):
         return of_K + of_M
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return the number of modes that `seen` needs: all for derivatives, unless the block is `massless`."""
+        """Return how many modes `seen` must solve for: all for derivatives, unless the block is `massless`."""
         return self.size if gradient and not self.massless else count
 
     def coordinates(self, rows: sp.csr_array) -> FloatArray:
-        """Return the sensor rows projected onto the basis, a dense array of shape (n_sensors, r)."""
+        """Project sensor rows onto the basis, as a dense array of shape (n_sensors, r)."""
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Return rows and references in an orthonormal basis of the shapes that the block can have at `rows`."""
+        """Express rows and references in an orthonormal basis of all shapes that the block can have there."""
         return compress_rows(rows, reference)
 
     def _slopes_seen(
@@ -197,7 +202,7 @@ class ReducedBlock(Block):
         return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂φ/∂θ, shape (n, r, m, n_parameters), by one system per mode; NaN for repeated eigenvalues."""
+        """Return ∂φ/∂θ, shape (n, r, m, n_parameters), from one system per mode; NaN for repeated eigenvalues."""
         n, r, count = phi.shape
         dK, dM = (
             coefficient.contract(theta, (rows @ phi).reshape(n, -1, r * count)).reshape(n, r, count, -1)
@@ -208,7 +213,7 @@ class ReducedBlock(Block):
     def _solve_borders(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
-        """Return ∂φ, (n, r, m, q), given ∂K φ and ∂M φ of the same shape for q directions."""
+        """Return ∂φ, shape (n, r, m, q), given ∂K φ and ∂M φ of the same shape for q directions."""
         K, M = self.matrices(theta)
         slopes = np.empty(dK.shape)
         for k in range(phi.shape[2]):
@@ -253,7 +258,7 @@ class ReducedBlock(Block):
         return np.swapaxes(outer.reshape(n, m, r * r) @ rows.T, 1, 2)
 
     def _products_of_shapes(self, phi: FloatArray, of_mass: bool) -> tuple[FloatArray, FloatArray]:
-        """Return K_k φ, or M_k φ if `of_mass`, of every term, (n, m, n_terms, r), and the shapes (n, m, r)."""
+        """Return K_k φ for every term, or M_k φ if `of_mass`, (n, m, n_terms, r), and the shapes (n, m, r)."""
         n, r, m = phi.shape
         rows = self._M_rows if of_mass else self._K_rows  # the symmetric terms, stacked vertically
         shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
@@ -276,7 +281,7 @@ Parts = tuple[FullBlock | ReducedBlock, ...]
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rows (q, r) and references (q, m) in an orthonormal basis of the span of the rows' columns."""
+    """Express rows (q, r) and reference shapes (q, m) in an orthonormal basis of the span of the rows' columns."""
     if rows.shape[0] <= rows.shape[1]:
         return rows, reference
     Q, R = np.linalg.qr(rows)
@@ -289,7 +294,7 @@ def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
 
 
 def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
-    """Return Vᵀ K V, computed from the non-empty rows of K alone if K is large and these are few."""
+    """Return Vᵀ K V, using only the nonempty rows of K if K is large and few of its rows are nonempty."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
         return np.asarray(basis.T @ (matrix @ basis))
@@ -297,7 +302,7 @@ def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
 
 
 def _whiten(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return L⁻¹ K L⁻ᵀ and L⁻¹, each of shape (n, r, r), with the Cholesky factorisation M = L Lᵀ."""
+    """Return L⁻¹ K L⁻ᵀ and L⁻¹, each of shape (n, r, r), from the Cholesky factorisation M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
 
@@ -316,7 +321,7 @@ def _solve_inverse(K: FloatArray, M: FloatArray, count: int | None) -> tuple[Flo
     ndarray, shape (n, m)
         Eigenvalues λ = 1/ν − s in ascending order; NaN beyond the rank of M.
     ndarray, shape (n, r, m)
-        The M-normalised shapes.
+        M-normalised shapes.
     """
     # K + s M is definite for a free structure too, and with s of the size of λ neither matrix loses digits
     shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])

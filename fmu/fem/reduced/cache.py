@@ -1,4 +1,4 @@
-"""Cache of trained reduced bases on disk, under a hash of the problem for which each was trained.
+"""Disk cache for trained reduced bases, each stored under a hash of the problem it was trained for.
 
 If a file is missing, damaged or of another version, the basis is trained again. The cache is in the user's cache
 directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``. If that variable is set but
@@ -26,7 +26,7 @@ _TITLE = "fmu basis 1"
 
 
 def load_basis(key: object) -> dict[str, FloatArray] | None:
-    """Return the dict of arrays that `store_basis` stored for `key` (JSON-able), or None if there is none."""
+    """Return the arrays that `store_basis` stored for `key` (JSON-able), or None if there are none."""
     path = _path(key)
     if path is None:
         return None
@@ -39,7 +39,7 @@ def load_basis(key: object) -> dict[str, FloatArray] | None:
 
 
 def store_basis(key: object, state: dict[str, FloatArray]) -> None:
-    """Store the arrays `state` for `key` atomically; do nothing if the cache cannot be written."""
+    """Store the arrays `state` for `key` atomically. Do nothing if the cache cannot be written."""
     path = _path(key)
     if path is None:
         return

@@ -1,11 +1,11 @@
-"""Modes of the full model computed from the reduced model's modes, to confirm error bounds of large structures.
+"""Full-model modes computed from the reduced model's modes, to confirm the error bounds of large structures.
 
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
-Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors'
-modes. The corrections are w = Ā⁻¹ r with the factors from training. At the first point K − σ M is factorised: its
-inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does
-not agree with the modes found, the ordinary eigensolver is used from then on, and where the iterations do not
-converge. Several points are tasks of the engine that the block is spread over, if there is one.
+Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the modes at
+the anchor points. The corrections are w = Ā⁻¹ r with the factors from training. At the first point K − σ M is
+factorised: its inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If
+this number does not agree with the modes found, the ordinary eigensolver is used from then on, as it is where the
+iterations do not converge. Several points are tasks for the block's engine, if it has one.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _BEYOND = 3
 
 
 class _Start(NamedTuple):
-    """The initial data of the iterations at one point.
+    """Initial data for the iterations at one point.
 
     Attributes
     ----------
     theta : ndarray, shape (1, n_parameters)
         The point.
     vectors : list of ndarray, each of shape (n_dof, m)
-        The Ritz vectors of the basis and of the anchors' modes.
+        Ritz vectors of the basis and of the modes at the anchor points.
     anchor : int
-        Index of the anchor whose factors are used.
+        Index of the anchor point whose factors are used.
     alpha : float
-        The factor α of the bound A ≥ α Ā.
+        The factor α in the bound A ≥ α Ā.
     n_wanted, n_converged : int
         Number of modes that are computed, and number of modes that must converge.
     """
@@ -55,13 +55,13 @@ class _Start(NamedTuple):
 
 
 class ConfirmedBlock(FullBlock):
-    """A large block whose modes at points of the trained box are computed from the modes of its reduced model.
+    """A large block whose full modes in the trained box are iterated from the modes of its reduced model.
 
     Parameters
     ----------
     block : FullBlock
     space : Space
-        The space of the reduced basis.
+        The space spanned by the reduced basis.
     anchors : Anchors
     """
 
@@ -86,9 +86,9 @@ class ConfirmedBlock(FullBlock):
         return lam, phi
 
     def _from_ritz(self, theta: FloatArray, count: int) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return λ (wanted,) and shapes (size, wanted) by the index of each point of theta (n, p) that converges.
+        """Iterate the modes at theta (n, p); return λ (wanted,) and shapes (size, wanted) for converged points.
 
-        The dict is empty if a mode is missing.
+        The dict's keys are point indices. It is empty if a mode is missing.
         """
         started: list[int] = []
 
@@ -109,7 +109,7 @@ class ConfirmedBlock(FullBlock):
         return found if self._is_complete else {}
 
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
-        """Return the initial data of the iterations at theta (1, p); None if there are none."""
+        """Return the initial data at theta (1, p), or None if the iterations cannot be started there."""
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
         (best,), (alpha,) = self._anchors.nearest(theta, space)
@@ -129,7 +129,7 @@ def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArr
 
 
 def confirm_blocks(bound: FrequencyBound) -> tuple[FullBlock, ...]:
-    """Return the full blocks of a bound, with large reduced blocks replaced by instances of `ConfirmedBlock`."""
+    """Return the full blocks behind a bound, with `ConfirmedBlock` in place of large blocks that were reduced."""
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:
@@ -148,7 +148,7 @@ def davidson(
     count: int,
     alpha: float,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return Ritz pairs of A x = (λ + s) M x, of which the lowest `count` have converged; None if they do not.
+    """Iterate Ritz pairs of A x = (λ + s) M x until the lowest `count` converge; return None if they do not.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def davidson(
     factor : Factor
         Factors of a matrix Ā with A ≥ α Ā.
     wanted : int
-        Number of pairs that are returned: λ (wanted,) and vectors (n, wanted).
+        Number of pairs to return: λ (wanted,) and vectors (n, wanted).
     count : int
         Number of lowest pairs that must converge.
     alpha : float

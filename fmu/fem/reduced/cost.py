@@ -1,10 +1,10 @@
-"""Estimates of the cost of solves of one block, from matrix sizes alone, and of the memory of a run.
+"""Cost estimates for solving one block, from matrix sizes alone, and memory estimates for a run.
 
-Decisions by these costs do not depend on a clock.
+Decisions based on these costs do not depend on a clock.
 
-The unit is about a second of one core of 2020. The constants were fitted to solves of frames, shells and solids of
-900 to 100 000 degrees of freedom by SuperLU and LAPACK. Only ratios of costs are compared; on other machines these
-hold within a factor of two.
+The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
+with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Only ratios of costs are compared; on other machines
+these are correct within a factor of two.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _FACTORS, _VECTORS = 2, 80
 
 @dataclass(frozen=True)
 class Cost:
-    """The sizes of one large block that determine the cost of its solves.
+    """Sizes of one large block that determine how much its solves cost.
 
     Attributes
     ----------
     n_dof : int
         Number of degrees of freedom.
     n_entries : int
-        Number of entries of the factors of the stiffness matrix.
+        Number of entries in the factors of the stiffness matrix.
     n_terms : int
-        Number of terms of the stiffness, and of the mass if parameters change it.
+        Number of stiffness terms, plus the number of mass terms if parameters change the mass.
     massless : bool
         Whether degrees of freedom have no mass.
     """
@@ -55,7 +55,7 @@ class Cost:
 
     @classmethod
     def of(cls, block: FullBlock, factor: Factor) -> Cost | None:
-        """Return the cost of a block from the factors of its stiffness; None for a small block, solved densely."""
+        """Return a block's cost, given its stiffness factors, or None for a small block that is solved densely."""
         if block.size <= DENSE_LIMIT:
             return None
         n_terms = len(block.K_terms) + (0 if block.constant_mass else len(block.M_terms))
@@ -73,12 +73,12 @@ class Cost:
         return elimination + _ITERATIONS * self.solve
 
     def of_reduced(self, size: int) -> float:
-        """Return the cost of computing all modes in a basis of `size` vectors at one theta."""
+        """Return the cost of computing all modes in a basis with `size` vectors at one theta."""
         eigenproblem = (_SINGULAR if self.massless else _STANDARD) * size**3
         return _A_REDUCED_SOLVE + _A_TERM * self.n_terms * size**2 + eigenproblem
 
     def visit(self, size: int, count: int) -> float:
-        """Return the cost of the error bounds of `count` modes at one theta, in a space of `size` vectors."""
+        """Return the cost of error bounds for `count` modes at one theta, in a space with `size` vectors."""
         return 2.0 * self.of_reduced(size) + count * self.solve
 
     def most_vectors(self) -> int:
@@ -88,10 +88,10 @@ class Cost:
 
 
 def memory_in_words(model: SeparableModel) -> str:
-    """Return a sentence on the memory of a run with a reduced model; empty if no block keeps its factors.
+    """Return a sentence on how much memory a run with a reduced model needs; empty if no block stores factors.
 
-    The sentence says so if less memory is free. The constants come from frames, solids and shells in the study of
-    large structures; the estimates agree with the measured peaks within a fifth.
+    The sentence also says if less memory is free. The constants come from frames, solids and shells in the study
+    of large structures; the estimates agree with the measured peaks within a fifth.
     """
     kept = [model.last_factor(dofs).factor for dofs in model.blocks if len(dofs) >= LARGE]
     of_factors = sum(factor.n_bytes for factor in kept if factor is not None)

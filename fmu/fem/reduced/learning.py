@@ -1,7 +1,7 @@
-"""The trial space of one block in training: corrections of its modes are added, and it is truncated at the end.
+"""The trial space of one block in training: it grows by corrections of its modes, and is truncated at the end.
 
 A correction w = Ā⁻¹ r from a residual r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94). One
-factorisation of Ā serves all points of the box. The corrections at a few points are compressed by proper
+factorisation of Ā serves all points in the box. The corrections at a few points are compressed by proper
 orthogonal decomposition in the inner product of Ā before they are added to the space. In that inner product the
 energy of an error is the relative error of an eigenvalue.
 """
@@ -55,14 +55,14 @@ class Learner:
     count : int
         Number of modes that may be needed.
     largest : int
-        Largest number of vectors of the space.
+        Largest number of vectors in the space.
 
     Attributes
     ----------
     space : Space
     anchors : Anchors
     shared : SharedResiduals or None
-        The residuals of the space; None if each is solved for.
+        Residuals of the space; None if each is solved for separately.
     theta : ndarray, shape (n, n_parameters)
         Points visited so far.
     share : ndarray, shape (n,)
@@ -86,16 +86,16 @@ class Learner:
 
     @property
     def is_full(self) -> bool:
-        """Whether the space has its largest allowed size."""
+        """Whether the space has reached its largest allowed size."""
         return self.space.size >= self.largest
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the space has its largest allowed size without being whole."""
+        """Whether the space has reached its largest allowed size without being whole."""
         return self.is_full and not self.is_whole
 
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
-        """Grow the space at theta (n, p) where needed; return a mask (n,) of the points with small enough errors.
+        """Grow the space at theta (n, p) where needed; return a mask (n,) of points with small enough errors.
 
         The errors of the lowest m modes are compared with `SHARE` times `share` times `allowed` (m,). Where an
         error exceeds `GROWN` times `share` times `allowed`, its corrections are added to the space.
@@ -117,9 +117,10 @@ class Learner:
         return good
 
     def largest_miss(self, cut: Space, theta: FloatArray, needed: int, allowed: float) -> float:
-        """Return the largest relative difference of the needed frequencies between `cut` and the trial space.
+        """Return the largest relative difference between frequencies in `cut` and in the full trial space.
 
-        Points of theta (n, p) at which the difference exceeds `allowed` are added to the visited points.
+        Only the `needed` lowest modes are compared. Points in theta (n, p) where the difference exceeds `allowed`
+        are added to the visited points.
         """
         lam = self.space.modes(theta, needed)[0]
         off = np.max(apart(cut.modes(theta, needed)[0], lam), axis=1)
@@ -143,7 +144,7 @@ class Learner:
         return lam, y
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return rows of the coordinates of comparison in V, and the references there; see `Block.observe`."""
+        """Return the comparison coordinates as rows for V, and the reference shapes there; see `Block.observe`."""
         return compress_rows(rows @ self.space.V, reference)
 
     def add(self, X: FloatArray) -> None:
@@ -153,7 +154,7 @@ class Learner:
         self._share(self.space.V[:, known:])
 
     def share_with(self, basis: FloatArray) -> SharedResiduals | None:
-        """Return the shared residuals of a basis (n_dof, q) of a part of the space; None if there are none."""
+        """Return the shared residuals for a basis (n_dof, q) of part of the space, or None if there are none."""
         return None if self.shared is None else self.shared.restrict(self.space.V.T @ (self.anchors.first @ basis))
 
     def _share(self, X: FloatArray) -> None:
@@ -161,10 +162,10 @@ class Learner:
             self.shared = self.shared.grown(X, partial(self.anchors.solve, 0))
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
-        """Add directions of the corrections C (n_dof, m) to the space, as many as their errors need.
+        """Add as many principal directions of the corrections C (n_dof, m) to the space as the errors require.
 
-        The remaining energy of each correction is at most its `target` (m,) or the fraction `_STEP` of its own,
-        unless the space becomes full.
+        The remaining energy of each correction is then at most its `target` (m,) or the fraction `_STEP` of its
+        own energy, unless the space is full before.
         """
         gram = C.T @ (self.anchors.first @ C)
         energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
@@ -191,9 +192,9 @@ class Learner:
         return True
 
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
-        """Return a small space whose frequencies agree at all visited points within `tolerance`, and a rotation.
+        """Return a small space whose frequencies agree within `tolerance` at all visited points, and a rotation.
 
-        The columns of the rotation (q, q) are its principal directions, in descending order of energy.
+        The columns of the rotation (q, q) are the space's principal directions, in descending order of energy.
 
         The modes are compressed by proper orthogonal decomposition in the inner product of Ā, in which the energy
         of an error is the relative error of λ. The space has as many vectors as the worst points need. Weights
@@ -247,7 +248,7 @@ class Learner:
 def count_needed(
     full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
 ) -> tuple[RankPairing | None, dict[int, int]]:
-    """Return the pairing as fixed ranks, None if that is not exact, and a dict of the modes needed per block."""
+    """Return the pairing as fixed ranks, or None if that is not exact, and how many modes each block needs."""
     # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
     n = min(map(len, visited))
@@ -264,7 +265,7 @@ def count_needed(
 def balance_directions(
     Z: FloatArray, tolerance: float, smallest: int, largest: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal directions Q (r, q), the strongest first, and the remaining energies of the columns of Z.
+    """Return orthonormal directions for the columns of Z, strongest first, and the energies that remain.
 
     Proper orthogonal decomposition minimises the mean of the remaining energies. Columns with a large remainder
     have a larger weight in the next decomposition, which reduces the largest remainder (as Lawson's algorithm does
@@ -301,10 +302,10 @@ def balance_directions(
 def snapshot_basis(
     block: FullBlock, anchors: Anchors, theta: FloatArray, count: int, size: int, tolerance: float
 ) -> FloatArray:
-    """Return a basis (n_dof, size) that approximates the lowest modes at theta (n, n_parameters) best.
+    """Return the basis (n_dof, size) that best approximates the lowest modes at theta (n, n_parameters).
 
-    It is meant for a box that is too wide for a basis that is accurate everywhere. The modes are compressed by
-    proper orthogonal decomposition in the inner product of Ā = K + s M at an anchor, in which the energy of an
+    It is meant for a box so wide that no basis is accurate everywhere. The modes are compressed by proper
+    orthogonal decomposition in the inner product of Ā = K + s M at an anchor point, in which the energy of an
     error is the relative error of an eigenvalue (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
     Partial Differential Equations*, chapter 6). The basis is accurate near theta; elsewhere its error is unknown.
 
@@ -333,7 +334,7 @@ def snapshot_basis(
 
 
 def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -> int:
-    """Return the smallest size above `low` and at most `high` that is enough, searched from a guess.
+    """Return the smallest size with low < size ≤ high that is enough, searching from a guess.
 
     `high` is assumed to be enough.
     """
@@ -359,7 +360,7 @@ def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -
 
 
 def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:
-    """Return the relative differences (n, m) of the frequencies from two arrays of λ; 0 for rigid-body modes."""
+    """Return the relative frequency differences (n, m) between two arrays of λ; 0 for rigid-body modes."""
     rigid = (lam <= RIGID * lam[:, -1:]) & (reduced <= 10.0 * RIGID * lam[:, -1:])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rigid, 0.0, np.abs(np.sqrt(reduced / lam) - 1.0))

@@ -1,4 +1,4 @@
-"""Points of a box for training and for its checks, sizes of bases, and mass-orthonormal bases."""
+"""Points in a box for training and its checks, basis sizes, and mass-orthonormal bases."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MEMORY = 2**31
 
 
 def affordable(n_dof: int) -> int:
-    """Return the largest useful number of basis vectors for a block of `n_dof` degrees of freedom.
+    """Return the largest useful number of basis vectors for a block with `n_dof` degrees of freedom.
 
     A reduced solve with r vectors takes about 60 ns · r², and more from r = 1000 on. A sparse solve of the full
     block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with
@@ -34,18 +34,18 @@ def affordable(n_dof: int) -> int:
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return the largest number of trial vectors of a block: twice the affordable number, in at most 2 GiB."""
+    """Return the largest number of trial vectors for a block: twice the affordable number, within 2 GiB."""
     return n_dof if n_dof <= DENSE_LIMIT else min(2 * affordable(n_dof), n_dof, MEMORY // (8 * n_dof))
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A reduced model, the pairing to use with it, and the box for which it was trained.
+    """A reduced model, the pairing to use with it, and the box it was trained for.
 
     Attributes
     ----------
     blocks : tuple of Block
-        The blocks of the reduced model.
+        Blocks of the reduced model.
     pairing : IndexPairing, ShapePairing or RankPairing
         Rule that pairs its modes with the measured modes.
     lower, upper : ndarray, shape (n_parameters,)
@@ -53,11 +53,11 @@ class Trained:
     confirmed : bool
         Whether training succeeded: the errors at fresh points were all within the tolerance.
     anchors : mapping of int to Anchors
-        The anchors of each block by the block's index, if training made them.
+        Anchor points of each block, by block index, if training used any.
     elsewhere : float or None
-        The tolerance of the whole box if a smaller tolerance holds in a part of it; otherwise None.
+        Tolerance for the whole box if a smaller tolerance applies to part of it; otherwise None.
     shared : mapping of int to SharedResiduals or None
-        The residuals of large blocks, by the block's index.
+        Residuals of large blocks, by block index.
     """
 
     blocks: Parts
@@ -70,12 +70,12 @@ class Trained:
     shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
 
     def bound(self, full: tuple[FullBlock, ...]) -> FrequencyBound:
-        """Return the error bounds of the frequencies, against the full blocks that were reduced."""
+        """Return the error bounds of the frequencies, relative to the full blocks that were reduced."""
         return FrequencyBound(full, self.blocks, self.lower, self.upper, self.anchors, self.shared)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:
-    """Return points (m, ndim) of a box: `n` of a scrambled Sobol sequence, n/2 on its faces, and its corners.
+    """Return points (m, ndim) in a box: `n` from a scrambled Sobol sequence, n/2 on its faces, and its corners.
 
     With more than six parameters, 64 random corners are taken instead of all.
     """
@@ -95,7 +95,7 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 
 
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
-    """Return points (m, n_parameters), m ≤ n, of a box, near zero in parameters whose lower bound is zero.
+    """Return m ≤ n points (m, n_parameters) of a box near zero in the parameters whose lower bound is zero.
 
     A structure in which a stiffness nearly vanishes has modes that occur neither on the face of the box, where
     that stiffness is zero, nor at points that cover the box evenly.
@@ -108,7 +108,7 @@ def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0
 
 
 def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> FloatArray:
-    """Return a basis of the space of V (size, r), orthonormal in the block's mass matrix at `centre`.
+    """Return a basis of the span of V (size, r), orthonormal in the block's mass matrix at `centre`.
 
     If degrees of freedom have no mass, M is singular, and the basis is orthonormal in M + K/λ instead, with the
     mean λ = tr Vᵀ K V / tr Vᵀ M V. Raises SingularAnchorError if M is not positive definite in the space.

@@ -1,4 +1,4 @@
-"""Structures whose modes are computed in a reduced basis within a box of parameters, with an error bound."""
+"""Structures whose modes are computed in a reduced basis within a parameter box, with an error bound."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ _WIDENED, _REFINED = 3, 20
 
 
 class ReducedStructure(Approximation):
-    """A structure solved in a reduced basis inside a box, and by its full matrices outside it or after a failure.
+    """A structure solved in a reduced basis inside a box, and with its full matrices outside it or on failure.
 
     Parameters
     ----------
     truth : PairedStructure
         The structure with its full matrices.
     trained : Trained
-        The outcome of training.
+        The result of training.
 
     Attributes
     ----------
     cheap : PairedStructure
-        The same structure and measured modes, solved by the reduced blocks.
+        The same structure and measured modes, solved with the reduced blocks.
     confirmed : bool
-        Whether training succeeded: the errors at fresh points of the box were within the tolerance.
+        Whether training succeeded: the errors at fresh points in the box were within the tolerance.
     elsewhere : float or None
-        The larger tolerance outside the part of the box that matters; None if one tolerance holds everywhere.
+        The larger tolerance outside the part of the box that matters, or None if one tolerance applies everywhere.
     """
 
     cheap: PairedStructure
@@ -73,7 +73,7 @@ class ReducedStructure(Approximation):
 
     @property
     def truth(self) -> PairedStructure:
-        """The structure solved by its full matrices."""
+        """The structure solved with its full matrices."""
         return self._truth
 
     def coarser(self, share: float) -> Self:
@@ -82,12 +82,12 @@ class ReducedStructure(Approximation):
         Parameters
         ----------
         share : float
-            The fraction of the vectors that is kept; see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
+            Fraction of the basis vectors to use; see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
 
         Returns
         -------
         ReducedStructure
-            The coarser model; this model itself if all vectors are kept.
+            The coarser model, or this model itself if no vector is removed.
         """
         blocks = tuple(block.coarser(share) for block in self.cheap.blocks)
         if all(one is other for one, other in zip(blocks, self.cheap.blocks, strict=True)):
@@ -97,40 +97,40 @@ class ReducedStructure(Approximation):
         return other
 
     def extend(self, lower: FloatArray, upper: FloatArray) -> Self:
-        """Return a model that uses the reduced basis in a larger box than it was trained for, for a first look."""
+        """Return a copy that uses the reduced basis in a larger box than it was trained for, as a rough model."""
         other = copy(self)
         other.lower, other.upper = np.minimum(lower, self.lower), np.maximum(upper, self.upper)
         return other
 
     def seen_by(self, sensors: tuple[Dof, ...]) -> Self:
-        """Return the same model, whose `observed` gives shapes at other sensors."""
+        """Return a copy for which `observed` gives shapes at other sensors."""
         other = copy(self)
         other._truth = self._truth.seen_by(sensors)
         other._answer_by(self.cheap.seen_by(sensors))
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return a copy of the model that records another tolerance outside the part of the box that matters."""
+        """Return a copy that records another tolerance outside the part of the box that matters."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
 
     def within(self, theta: FloatArray) -> BoolArray:
-        """Return a bool array (n,): True where theta (n, n_parameters) lies in the box of the reduced model."""
+        """Return a mask (n,) that is True where theta (n, n_parameters) lies in the reduced model's box."""
         return find_inside(theta, self.lower, self.upper)[0]
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return the paired modes at theta (n, n_parameters), with gradients of the eigenvalues if `gradient`."""
+        """Return the paired modes at theta (n, n_parameters), with eigenvalue gradients if `gradient`."""
         return self._answer(self._solve, self._truth.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors for theta (n, n_parameters), with derivatives if asked."""
+        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
         return self._answer(self.cheap.see, self._truth.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return all modes that are candidates for a pairing with the measured modes, at theta (n, n_parameters).
+        """Return all candidates for pairing with the measured modes at theta (n, n_parameters).
 
-        Derivatives are included if `gradient`. The pairing must be by shape, soft or not.
+        They have derivatives if `gradient`. The pairing must be by shape, soft or not.
         """
         return self._answer(self.cheap.choose, self._truth.choose, theta, gradient)
 
@@ -139,7 +139,7 @@ class ReducedStructure(Approximation):
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) in Hz and their exact gradients (n, n_modes, n_parameters)."""
+        """Return frequencies in Hz, shape (n, n_modes), and exact gradients, shape (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
@@ -168,11 +168,11 @@ class ReducedStructure(Approximation):
         return found, *candidate_numbers(counts)
 
     def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
-        """Return the modes of the full model at theta (n, n_parameters); large blocks reuse training's factors.
+        """Return the full model's modes at theta (n, n_parameters), reusing training's factors for large blocks.
 
-        For blocks of `fmu.fem.modes.solver.LARGE` degrees of freedom or more, iterations start from the
-        modes of the reduced model. They end when the estimated relative errors of the frequencies are below 1e-8.
-        The number of eigenvalues is verified at the first point.
+        For blocks with `fmu.fem.modes.solver.LARGE` degrees of freedom or more, iterations start from the modes of
+        the reduced model. They end when the estimated relative frequency errors are below 1e-8. The number of
+        eigenvalues is verified at the first point.
         """
         within = self.within(theta)
         if not within.any():
@@ -181,7 +181,7 @@ class ReducedStructure(Approximation):
         return found if within.all() else with_rows(found, ~within, self._truth.modes(theta[~within]))
 
     def shapes(self, theta: FloatArray) -> FloatArray:
-        """Return the full model's shapes of the paired modes, (n_dof, n_modes), at theta (n_parameters,).
+        """Return the full model's paired mode shapes, (n_dof, n_modes), at theta (n_parameters,).
 
         See `PairedStructure.shapes`, and `confirmed_modes` for large blocks.
         """
@@ -192,7 +192,7 @@ class ReducedStructure(Approximation):
         return self._truth.solved_by(confirm_blocks(self._bound), self.rule)
 
     def frequency_bound(self, theta: FloatArray) -> FloatArray:
-        """Return bounds of the relative errors of the reduced model's frequencies, shape (n, n_modes).
+        """Return bounds on the relative errors of the reduced model's frequencies, shape (n, n_modes).
 
         The bounds follow from the residuals of the paired modes at theta (n, n_parameters); the ranks of these
         modes in the spectrum are not verified. A bound is infinite where none is known.
@@ -207,11 +207,11 @@ class ReducedStructure(Approximation):
         return bound
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict of the data that identify the structure and its pairing; these determine the basis."""
+        """Return the data that identify the structure and its pairing, which determine the basis."""
         return self._truth.configuration()
 
     def _solve(self, theta: FloatArray, gradient: bool) -> ModalSolution:
-        """Return the modes of the reduced model, solved for a few theta at a time to limit the memory."""
+        """Solve the reduced model for a few theta at a time, to limit memory use, and return its modes."""
         if len(theta) <= self._at_once:
             return self.cheap.solve(theta, gradient)
         starts = range(0, len(theta), self._at_once)
@@ -224,7 +224,7 @@ class ReducedStructure(Approximation):
         theta: FloatArray,
         gradient: bool,
     ) -> Solution:
-        """Return the reduced model's solution, or the full model's solution outside the box and on failure."""
+        """Return the reduced model's solution, replaced by the full model's outside the box and on failure."""
         count_solves(len(theta), with_gradients=gradient)
         with single_thread():
             within = (theta >= self.lower) & (theta <= self.upper)
@@ -241,17 +241,17 @@ class ReducedStructure(Approximation):
 
 
 def reduced_in(model: ModalModel) -> ReducedStructure | None:
-    """Return a model with a reduced basis; None for any other model."""
+    """Return the model if it has a reduced basis, or None if it is any other model."""
     return model if isinstance(model, ReducedStructure) else None
 
 
 def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
-    """Return the list of the reduced models among the parts of a model."""
+    """Return the reduced models among the parts of a model."""
     return [part for part in map(reduced_in, model.parts) if part is not None]
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
-    """Return the largest tolerance outside the part of the box that matters; None if no model has one."""
+    """Return the largest tolerance outside the part of the box that matters, or None if no model has one."""
     return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
 
 
@@ -264,23 +264,23 @@ def train(
     region: Callable[[ReducedStructure], FloatArray] | None = None,
     wider_box: Callable[[ReducedStructure], tuple[FloatArray, FloatArray] | None] | None = None,
 ) -> tuple[ReducedStructure | PairedStructure, dict[str, FloatArray]]:
-    """Train a reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
+    """Train a reduced model over a parameter box; see `fmu.fem.reduced.training.Training.run`.
 
-    Within ``truth.spread_over(engine)``, what takes long is solved in the workers of the engine.
+    Within ``truth.spread_over(engine)``, lengthy solves run in the engine's workers.
 
     Parameters
     ----------
     truth : PairedStructure
     lower, upper : ndarray, shape (n_parameters,)
     tolerance : float
-        Largest relative error of a frequency at the points of the box that are tried.
+        Largest relative frequency error allowed at the points tried in the box.
     inaccurate_points : callable, optional
         Maps the current reduced model to the points (n, n_parameters) at which it is too inaccurate for the
-        caller's purpose, and to the factor by which the errors of frequencies there must decrease. Returns None if
-        the model is accurate enough.
+        caller's purpose, and to the factor by which the frequency errors there must decrease. Returns None if the
+        model is accurate enough.
     region : callable, optional
-        Maps the current reduced model to fresh points (n, n_parameters) of the part of the box that matters. If a
-        basis for the whole box would not pay, `tolerance` holds in that part only, and 1e-3 elsewhere.
+        Maps the current reduced model to fresh points (n, n_parameters) in the part of the box that matters. If a
+        basis for the whole box would not pay, `tolerance` applies in that part only, and 1e-3 elsewhere.
     wider_box : callable, optional
         Maps the reduced model to the bounds of a larger box if much of the region that matters lies outside the
         present one; returns None otherwise.
@@ -288,9 +288,10 @@ def train(
     Returns
     -------
     model : ReducedStructure or PairedStructure
-        The reduced model. If it is inaccurate and would save little, the full model, which then tells the reason.
+        The reduced model. If it is inaccurate and would save little, the full model, with the reason in
+        `why_full`.
     state : dict of str to ndarray
-        The arrays from which `restore` makes the same model again.
+        The arrays from which `restore` rebuilds the same model.
     """
     with single_thread():
         for left in range(_WIDENED, -1, -1):
@@ -323,7 +324,7 @@ def _narrow(
     tolerance: float,
     region: Callable[[ReducedStructure], FloatArray],
 ) -> ReducedStructure | None:
-    """Return the model after further training in a region of the box; None if that training does not succeed."""
+    """Continue training in a region of the box; return the model, or None if this training does not succeed."""
     models: list[ReducedStructure] = []
     for trained in training.narrow(tolerance, lambda: region(models[-1])):
         models.append(ReducedStructure(truth, trained))
@@ -333,7 +334,7 @@ def _narrow(
 def train_at(
     truth: PairedStructure, theta: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[ReducedStructure, dict[str, FloatArray]]:
-    """Return a reduced model trained only at points theta (n, n_parameters) of a box, and its state for `restore`.
+    """Train a reduced model only at points theta (n, n_parameters) in a box; return it and its `restore` state.
 
     Its errors at other points are not examined.
     """
@@ -343,7 +344,7 @@ def train_at(
 
 
 def restore(truth: PairedStructure, state: dict[str, FloatArray]) -> ReducedStructure | PairedStructure:
-    """Return the model that `train` returned earlier for the same structure and pairing."""
+    """Rebuild the model that `train` returned earlier for the same structure and pairing."""
     if "full" in state:
         return truth.kept_full(int(state["full"]))
     with single_thread():

@@ -1,4 +1,4 @@
-"""Bounds of the errors of a reduced model's modes, computed from the residuals.
+"""Error bounds for a reduced model's modes, computed from their residuals.
 
 Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. Let A = K + s M, σ = μ + s and T = A⁻¹ M,
 which is self-adjoint in the inner product of A. Split the space into the span of the Ritz vectors and the
@@ -11,12 +11,12 @@ up to terms of second order in G. For a single mode far from all other modes, th
 ‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465,
 with β of the next mode). The matrix bound also holds for close and repeated modes.
 
-Proven, for positive semidefinite terms: A ≥ α Ā at an anchor (`fmu.fem.reduced.anchors`), so that the form r_iᵀ
-A⁻¹ r_j is at most r_iᵀ Ā⁻¹ r_j / α. Estimated: the spectrum of σ T on the complement. The direction of the error
-is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient
+Proven, for positive semidefinite terms: A ≥ α Ā at an anchor point (`fmu.fem.reduced.anchors`), so that the form
+r_iᵀ A⁻¹ r_j is at most r_iᵀ Ā⁻¹ r_j / α. Estimated: the spectrum of σ T on the complement. The direction of the
+error is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient
 wᵀ M w / (α wᵀ Ā w), times σ, is the mean x < 1 of that spectrum. Its upper end b is taken as the larger of √x and
-σ_i/σ_j, where j is the lowest mode that the trial vectors do not represent, estimated by the modes at the anchors.
-The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
+σ_i/σ_j, where j is the lowest mode that the trial vectors do not represent, estimated by the modes at the anchor
+points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
 (Edmundson and Madansky). If a needed mode were missing from the space, no residual would show it; therefore
 training counts the modes at some points by Sylvester's law of inertia.
 """
@@ -49,7 +49,7 @@ _KNOWN = 1.1
 
 
 class Bounded(NamedTuple):
-    """Modes of a reduced model at n points, with bounds of their errors.
+    """A reduced model's modes at n points, with error bounds.
 
     Attributes
     ----------
@@ -58,10 +58,10 @@ class Bounded(NamedTuple):
     y : ndarray, shape (n, r, m)
         M-normalised shapes, as coefficients of the trial vectors.
     error : ndarray, shape (n, m)
-        Bound of the relative error of the frequency; infinite where there is none.
+        Bound on the relative frequency error; infinite where there is none.
     corrections : callable
-        Returns the vectors w / √σ, shape (n_dof, q), of the q modes in a mask (n, m); half the energy in Ā of such
-        a vector is about the error of its mode.
+        Maps a mask (n, m) of q modes to the vectors w / √σ, shape (n_dof, q). Half the energy of each vector in Ā
+        is about the error of its mode.
     """
 
     eigenvalues: FloatArray
@@ -73,9 +73,9 @@ class Bounded(NamedTuple):
 def bound_errors(
     space: Space, anchors: Anchors, theta: FloatArray, count: int, shared: SharedResiduals | None = None
 ) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) with bounds of their errors; NaN where the solver fails.
+    """Return the lowest `count` modes at theta (n, p) with error bounds; NaN where the solver fails.
 
-    With the residuals of the space that are `shared`, nothing is solved for.
+    If the space's residuals are given in `shared`, no linear system is solved.
     """
     known = anchors.modes(count)
     wanted = min(known.size, space.size, count + AHEAD)
@@ -98,7 +98,10 @@ def bound_errors(
 def _solve_residuals(
     space: Space, anchors: Anchors, theta: FloatArray, best: IntArray, lam: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return w = Ā⁻¹ r (n_dof, n, m), the forms rᵢᵀ wⱼ (n, m, m) and wᵀ M w (n, m), by the anchors `best` (n,)."""
+    """Return w = Ā⁻¹ r (n_dof, n, m), the forms rᵢᵀ wⱼ (n, m, m), and wᵀ M w (n, m).
+
+    `best` (n,) is the index of the anchor point used at each theta.
+    """
     n_dof, (n, count) = space.block.size, lam.shape
     R = np.empty((n_dof, n, count), order="F")
     for i, (K, M) in enumerate(space.block._matrices(theta)):
@@ -115,10 +118,11 @@ def _solve_residuals(
 
 
 def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> FloatArray:
-    """Return the lowest λ (n,) of a mode, after the first `count`, that the trial vectors do not represent.
+    """Return the lowest λ (n,), after the first `count` modes, of a mode that the trial vectors do not represent.
 
-    The modes are compared by rank: `lam` (n, m) are their Ritz values in the trial vectors, and `known` (n, m)
-    in the anchors' modes. If all but the last are represented, the last is taken; infinite if m = `count`.
+    The modes are compared by rank: `lam` (n, m) are their Ritz values in the trial vectors, and `known` (n, m) in
+    the modes at the anchor points. If all but the last are represented, the last is taken; infinite if m =
+    `count`.
     """
     if lam.shape[1] == count:
         return np.full(len(lam), np.inf)
@@ -130,7 +134,7 @@ def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> Float
 def frequency_error(
     lam: FloatArray, shift: float, G: FloatArray, mass: FloatArray, alpha: FloatArray, rest: FloatArray
 ) -> FloatArray:
-    """Return bounds of the relative errors of the frequencies, shape (n, m).
+    """Return bounds on the relative errors of the frequencies, shape (n, m).
 
     Parameters
     ----------
@@ -170,7 +174,7 @@ def frequency_error(
 
 
 def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
-    """Return the relative increase (n, m) of descending eigenvalues ν (n, m) by adding √(ν_i ν_j) relative_ij."""
+    """Return the relative increase (n, m) of descending eigenvalues ν (n, m) on adding √(ν_i ν_j) relative_ij."""
     size = np.sqrt(nu)
     B = size[:, :, None] * relative * size[:, None, :]
     added = B.copy()
@@ -182,7 +186,7 @@ def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
 
 @dataclass(eq=False)
 class FrequencyBound:
-    """Error bounds of a trained model's frequencies at any point of its box, at the cost of one solve per mode.
+    """Error bounds for a trained model's frequencies at any point in its box, at the cost of one solve per mode.
 
     Parameters
     ----------
@@ -190,9 +194,9 @@ class FrequencyBound:
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     anchors : mapping of int to Anchors
-        Existing anchors, by the index of their block; missing ones are made when they are needed.
+        Existing anchor points, by block index; missing ones are computed when they are needed.
     shared : mapping of int to SharedResiduals or None, optional
-        Residuals of reduced blocks, by the index of their block; without them, each residual is solved for.
+        Residuals of reduced blocks, by block index; without them, each residual is solved for.
     """
 
     full: tuple[FullBlock, ...]
@@ -206,7 +210,7 @@ class FrequencyBound:
         self._anchors = dict(anchors)
 
     def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
-        """Return bounds of the relative errors of the frequencies, shape (n, m), for modes at theta (n, p)."""
+        """Return bounds on the relative frequency errors, shape (n, m), for modes at theta (n, p)."""
         error = np.full(modes.rank.shape, np.inf)
         for b in np.unique(modes.block):
             row, column = np.nonzero(modes.block == b)
@@ -215,10 +219,10 @@ class FrequencyBound:
         return error
 
     def find_far(self, theta: FloatArray, counts: Mapping[int, int], tolerance: float) -> Far | None:
-        """Return the point of theta (n, p) farthest from the anchors of a block, if errors are not bounded there.
+        """Return the point in theta (n, p) farthest from a block's anchor points, if errors are not bounded there.
 
         The error bounds of the lowest `counts` modes of each block are compared with `tolerance` at its farthest
-        point. Return None if no point is far, or the bounds are small enough there.
+        point. Returns None if no point is far, or the bounds are small enough there.
         """
         for b, count in counts.items():
             space, anchors = self.trial(b)
@@ -228,7 +232,7 @@ class FrequencyBound:
         return None
 
     def trial(self, b: int) -> tuple[Space, Anchors]:
-        """Return the space of the reduced block of index `b`, and its anchors, factorised at the first call."""
+        """Return the space of reduced block `b`, and its anchor points, factorised at the first call."""
         if b not in self._anchors:
             self._anchors[b] = Anchors(self.full[b], self.lower, self.upper)
         anchors, reduced = self._anchors[b], self.reduced[b]
@@ -247,10 +251,10 @@ class FrequencyBound:
 
 
 def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:
-    """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ; None if it is singular.
+    """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ.
 
-    By Sylvester's law no mode below σ is then missing. σ lies in the relatively widest gap above one of the λ of
-    indices `first` to `last` − 1, or to the end if `last` is None.
+    By Sylvester's law no mode below σ is then missing. Returns None if the matrix is singular. σ lies in the
+    relatively widest gap above one of the λ with indices `first` to `last` − 1, or to the end if `last` is None.
     """
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
     below = first + int(np.argmax(gap[first:last])) + 1
@@ -262,5 +266,5 @@ def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int 
 
 
 def at_once(block: FullBlock, count: int) -> int:
-    """Return the number of points, 1 to 16, whose corrections of `count` modes fit within `BUDGET`."""
+    """Return the number of points, 1 to 16, whose corrections for `count` modes fit within `BUDGET`."""
     return int(np.clip(BUDGET // (8 * 3 * block.size * count), 1, 16))

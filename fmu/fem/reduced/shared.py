@@ -1,10 +1,10 @@
-"""Residuals of a reduced model at all points of its box, from one set of right-hand sides.
+"""Residuals of a reduced model at all points in its box, from one set of right-hand sides.
 
 The residual of a Ritz pair, r = Σ_k c_k(θ) K_k V y − μ Σ_l d_l(θ) M_l V y, is a sum of the vectors K_k V and M_l
 V, which do not depend on θ. With W = Ā⁻¹ [K_k V, M_l V], solved for once, the energies rᵀ Ā⁻¹ r and the
 corrections Ā⁻¹ r of every mode at every θ follow without a further solve (offline and online stage; Rozza, Huynh &
 Patera 2008, *Arch. Comput. Methods Eng.* 15, 229–275, section 8). An energy is a difference of numbers of the size
-of λ and has thus an error of 1e-15 λ, whereas the errors of frequencies that matter are above 1e-9.
+of λ, so its rounding error is 1e-15 λ, whereas the frequency errors that matter are above 1e-9.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TOGETHER = 32  # vectors of a space whose right-hand sides are solved together
 
 @dataclass(frozen=True, eq=False)
 class SharedResiduals:
-    """Inner products of the residuals' right-hand sides for one block, computed once.
+    """Inner products between the right-hand sides of one block's residuals, computed once.
 
     The right-hand side with the index v T + t is matrix term t times basis vector v; stiffness terms come before
     mass terms.
@@ -51,14 +51,14 @@ class SharedResiduals:
 
     @classmethod
     def of(cls, block: FullBlock) -> Self | None:
-        """Return the residuals of a space without vectors; None if the block is small or has many terms."""
+        """Return the residuals of an empty space, or None if the block is small or has many terms."""
         n_terms = len(block.K_terms) + len(block.M_terms)
         if block.size < LARGE or n_terms > _MOST_TERMS:
             return None
         return cls(block, np.empty((0, 0)), np.empty((len(block.M_terms), 0, 0)))
 
     def grown(self, X: FloatArray, solve: Callable[[FloatArray], FloatArray]) -> Self | None:
-        """Return the residuals of the space with the vectors X (n_dof, q) added; None if they are too many.
+        """Return the residuals after adding the vectors X (n_dof, q) to the space, or None if they are too many.
 
         `solve` returns Ā⁻¹ b for b (n_dof, m).
         """
@@ -102,14 +102,14 @@ class SharedResiduals:
         return np.asarray(z.reshape(*lam.shape, -1).swapaxes(1, 2))
 
     def forms(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rᵢᵀ Ā⁻¹ rⱼ (n, m, m) and wᵀ M(θ) w (n, m) at theta (n, p) from the `coefficients` z of r."""
+        """Return rᵢᵀ Ā⁻¹ rⱼ (n, m, m) and wᵀ M(θ) w (n, m) at theta (n, p), from the `coefficients` z of r."""
         energy = z.swapaxes(1, 2) @ (self.energy @ z)
         heavy = coefficients(self.block.M_terms, theta)
         mass = sum(heavy[:, [k]] * np.sum(z * (form @ z), axis=1) for k, form in enumerate(self.mass))
         return energy, np.asarray(mass)
 
     def corrections(self, z: FloatArray) -> FloatArray:
-        """Return the vectors Ā⁻¹ r, shape (n_dof, m), of residuals z (r T, m)."""
+        """Return the vectors Ā⁻¹ r, shape (n_dof, m), for residuals with coefficients z (r T, m)."""
         found, first = np.zeros((self.block.size, z.shape[1])), 0
         for part in self.W:
             found += part @ z[first : first + part.shape[1]]
@@ -118,7 +118,7 @@ class SharedResiduals:
 
 
 def _add_border(form: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the symmetric form (r, r) with the last columns (r + q, q) added."""
+    """Return the symmetric form (r, r) enlarged by its last `columns` (r + q, q)."""
     r = len(form)
     corner = columns[r:]
     return np.block([[form, columns[:r]], [columns[:r].T, 0.5 * (corner + corner.T)]])

@@ -54,7 +54,7 @@ class Space:
 
     @classmethod
     def of(cls, reduced: ReducedBlock, block: FullBlock, shift: float) -> Space:
-        """Return the space whose trial vectors are the basis of a reduced block."""
+        """Return the space whose trial vectors are a reduced block's basis."""
         return cls(block, shift, reduced.basis, *([terms] for terms in reduced.terms))
 
     @property
@@ -63,11 +63,11 @@ class Space:
         return self.V.shape[1]
 
     def grown(self, X: FloatArray, A: Matrix) -> Space:
-        """Return the space with the new directions of X (block.size, q) added; see `new_directions`."""
+        """Return the space with the new directions in X (block.size, q) added; see `new_directions`."""
         return self.join(new_directions(self.V, X, A))
 
     def join(self, X: FloatArray) -> Space:
-        """Return the space of the vectors of V and X (block.size, q), in this order."""
+        """Return the space spanned by V and X (block.size, q), in this order."""
         V, K, M = self.V, self.K, self.M
         for first in range(0, X.shape[1], _TOGETHER):
             new = X[:, first : first + _TOGETHER]
@@ -76,11 +76,11 @@ class Space:
         return Space(self.block, self.shift, V, K, M)
 
     def restrict(self, Q: FloatArray) -> Space:
-        """Return the space of the vectors V Q, for Q of shape (r, q)."""
+        """Return the space with trial vectors V Q, for Q of shape (r, q)."""
         return Space.empty(self.block, self.shift).join(self.V @ Q)
 
     def truncate(self, size: int) -> Space:
-        """Return the space of the first `size` vectors."""
+        """Return the space spanned by the first `size` vectors."""
         return Space(self.block, self.shift, self.V[:, :size], _leading(self.K, size), _leading(self.M, size))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -121,7 +121,7 @@ class Space:
 
 
 def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
-    """Return an A-orthonormal basis of the directions that X (n, q) adds to V (n, r), A-orthogonal to V."""
+    """Return the directions that X (n, q) adds to V (n, r): A-orthonormal columns, A-orthogonal to V."""
     X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
     for new in (_RANK, 0.5):  # twice against rounding
         X = X - V @ (V.T @ (A @ X))
@@ -132,7 +132,7 @@ def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
 
 
 def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
-    """Return Xᵀ K [V X] for the matrix K of every term, shape (n_terms, q, r + q)."""
+    """Return Xᵀ K [V X] for the matrix K of each term, shape (n_terms, q, r + q)."""
     r, q = V.shape[1], X.shape[1]
     projected = np.empty((len(terms), q, r + q))
     for term, of in zip(terms, projected, strict=True):
@@ -145,7 +145,7 @@ def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
 
 
 def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
-    """Return the strips of the lower triangles of the first `size` rows and columns."""
+    """Return the strips of the lower triangles cut to the first `size` rows and columns."""
     leading: list[FloatArray] = []
     for part in rows:
         left = size - sum(of.shape[1] for of in leading)

@@ -1,10 +1,10 @@
-"""Training of a reduced basis: points of the box are visited, the space grown, truncated and verified.
+"""Training of a reduced basis: points in the box are visited, and the space is grown, truncated and verified.
 
-K + s M is factorised at one or a few points of the box (`fmu.fem.reduced.anchors`). At every visited point the
-reduced problem is solved. The residuals of its modes give error bounds (`fmu.fem.reduced.residuals`) and the
+K + s M is factorised at one or a few anchor points in the box (`fmu.fem.reduced.anchors`). At every visited point
+the reduced problem is solved. The residuals of its modes give error bounds (`fmu.fem.reduced.residuals`) and the
 vectors that the space lacks (`fmu.fem.reduced.learning`). When the errors at a set of fresh points, including
-corners and faces, are within the tolerance, the space is truncated to the basis that is kept, and the basis is
-verified by full solves at a few further points.
+corners and faces, are within the tolerance, the space is truncated to the final basis, and the basis is verified
+by full solves at a few further points.
 """
 
 from __future__ import annotations
@@ -61,21 +61,21 @@ _CHECKS, _CUTS = 1000, 2000  # first seeds of the points of the checks and of th
 
 @dataclass(eq=False, repr=False)
 class Training:
-    """The training of a parametric reduced basis and its current state.
+    """Training of a parametric reduced basis, with its current state.
 
     Parameters
     ----------
     full : tuple of FullBlock
     rule : IndexPairing or ShapePairing
-        Pairing rule, which determines the modes of each block that are needed.
+        Pairing rule, which determines how many modes each block needs.
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     tolerance : float
-        Largest relative error of a needed frequency at the visited points.
+        Largest relative error allowed in a needed frequency at the visited points.
 
     Notes
     -----
-    Within `FullBlock.spread_over`, long solves run in the workers of an engine. The result does not depend on it.
+    Within `FullBlock.spread_over`, long solves run in an engine's workers. The result does not depend on it.
     """
 
     full: tuple[FullBlock, ...]
@@ -143,7 +143,7 @@ class Training:
     def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
         """Continue training at points theta (n, n_parameters), where errors must decrease by the factor `times`.
 
-        Errors at other points of the box may stay as they are.
+        Errors at other points in the box may stay as they are.
         """
         off = [
             self.learners[b].largest_miss(cut, theta, self.n_trained[b], np.inf) for b, cut in self._cuts.items()
@@ -162,11 +162,11 @@ class Training:
         return self._current()
 
     def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
-        """Yield reduced models while training continues in a region of the box to a smaller `tolerance`.
+        """Continue training to a smaller `tolerance` in a region of the box, yielding the model before each round.
 
-        The current model is yielded before each call of `region`, which returns fresh points (n, n_parameters).
-        Training ends when errors at all of these are small enough. It ends without success, `confirmed` being
-        False, if the basis becomes larger than `affordable`, the budget is spent, or after the last round.
+        In each round, `region` is called for fresh points (n, n_parameters). Training ends when errors at all of
+        these are small enough. It ends without success, `confirmed` being False, if the basis becomes larger than
+        `affordable`, the budget is spent, or after the last round.
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
@@ -182,7 +182,7 @@ class Training:
         self.confirmed = False
 
     def at(self, theta: FloatArray) -> Trained:
-        """Return the model whose large blocks have a basis made from their full modes at theta (n, n_parameters).
+        """Return a model whose large blocks have a basis built from their full modes at theta (n, n_parameters).
 
         The basis has the largest useful number of vectors. Its accuracy away from these points is not examined.
         """
@@ -198,7 +198,7 @@ class Training:
         return self._current()
 
     def state(self) -> dict[str, FloatArray]:
-        """Return a dict of arrays from which `restore` makes the trained model again.
+        """Return the arrays from which `restore` rebuilds the trained model, by name.
 
         ``elsewhere`` is the tolerance outside the region, if there is one. ``far`` has the fields of `Far` after
         theta: the parameter and the limit beyond which errors are not bounded well.
@@ -221,7 +221,7 @@ class Training:
     def restore(
         cls, full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
     ) -> Trained:
-        """Return the trained model from the arrays that the method `state` returned."""
+        """Rebuild the trained model from the arrays that `state` returned."""
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
         if "elsewhere" in state:
             training.tolerance, training.is_narrow = float(state["elsewhere"]), True
@@ -243,7 +243,7 @@ class Training:
         return Trained(blocks, self.fixed or self.rule, self.lower, self.upper, *found)
 
     def _visit(self, enough: int) -> bool:
-        """Visit fresh points until errors at `enough` consecutive points are small; return True on success."""
+        """Visit fresh points until errors at `enough` consecutive points are small. Return True on success."""
         good = visited = 0
         with phase("training") as under_way:
             while good < enough and visited < _MOST_POINTS:
@@ -267,14 +267,14 @@ class Training:
         return good >= enough
 
     def _fresh(self) -> FloatArray:
-        """Return fresh points for a check of a truncation, some of them near zero where a lower bound is zero."""
+        """Return fresh points for checking a truncation, some of them near zero where a lower bound is zero."""
         self._cut_seed += 1
         points = self._shuffled_points(self._cut_seed, self._cut_seed)
         near_zero = points_near_zero(self.lower, self.upper, _SOBOL, self._cut_seed)
         return np.concatenate([points[:_FRESH], near_zero[:_FRESH]])
 
     def _shuffled_points(self, seed: int, order: int) -> FloatArray:
-        """Return the points of the box for `seed`, in a random order with the seed `order`."""
+        """Return `box_points` for `seed`, shuffled with the seed `order`."""
         points = box_points(self.lower, self.upper, _SOBOL, seed)
         return points[np.random.default_rng(order).permutation(len(points))]
 
@@ -282,7 +282,7 @@ class Training:
         return sum(learner.space.size for learner in self.learners.values())
 
     def _allowed_errors(self, b: int) -> FloatArray:
-        """Return the allowed errors (m,) of the needed modes of block `b`, or of all candidates at first."""
+        """Return the errors (m,) allowed in the needed modes of block `b`, or in all candidates at first."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
@@ -309,7 +309,7 @@ class Training:
         return not (self.is_cut() or self.is_spent)
 
     def prefers_full(self) -> bool:
-        """Return True if the full model should be used: the reduced model is inaccurate and saves too little.
+        """Return True if the full model should be used, because the reduced model is inaccurate and saves little.
 
         With a full solve of cost `CHEAP`, a run of 20 000 solves takes minutes.
         """
@@ -318,14 +318,17 @@ class Training:
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
-        """Visit theta (n, p) in a block; see `Learner.visit`; return where its errors are small enough, (n,)."""
+        """Visit theta (n, p) in block `b`, and return a mask (n,) of points with small enough errors.
+
+        See `Learner.visit`.
+        """
         allowed = self._allowed_errors(b)
         if b in self.costs:
             self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))
         return self.learners[b].visit(theta, allowed, share)
 
     def _affordable(self, b: int) -> int:
-        """Return the largest useful number of vectors of a block: a solve costs a third of a full solve."""
+        """Return the largest useful basis size for block `b`, at which a solve costs a third of a full solve."""
         most = affordable(self.full[b].size)
         return min(most, self.costs[b].most_vectors()) if b in self.costs else most
 
