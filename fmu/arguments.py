@@ -3,7 +3,7 @@
 `check_arguments` wraps a public function or the constructor of a public class. The annotations are the rules:
 ``float`` requires a finite number, ``Positive`` a positive number, ``Literal`` one of the listed words, and
 ``Sequence[Parameter]`` a sequence of parameters. A string in the metadata of ``Annotated`` is advice that is
-appended to the error message. Rules that annotations cannot express, for example that an upper bound must exceed a
+appended to the error message. Rules that annotations cannot express, such as that an upper bound must exceed a
 lower bound, are checked by the function itself.
 """
 
@@ -31,7 +31,7 @@ _FILES = {
     "UpdatingProblem": "fmu.load",
     "DataTree": "fmu.load_trace",
 }
-"""Function that loads an object, by the class of the object; named in the message if a path was given instead."""
+"""Function that loads an object, by the object's class; an error message names it if a path was given instead."""
 
 
 Bound = Annotated[float, Unbounded()]
@@ -76,7 +76,7 @@ class ArgumentError(ValueError):
 
     @classmethod
     def of(cls, error: Exception) -> ArgumentError:
-        """Return `error` as an ArgumentError; the message of other exceptions becomes a rule with an empty key."""
+        """Return `error` as an ArgumentError; any other exception's message becomes a rule with an empty key."""
         return error if isinstance(error, ArgumentError) else ArgumentError("", str(error))
 
     def at(self, key: str) -> Self:
@@ -84,23 +84,23 @@ class ArgumentError(ValueError):
         return type(self)(key, self.rule, self.value, self.advice)
 
     def under(self, place: str) -> Self:
-        """Return a copy of the error with its key prefixed, such as ``parameters.1.lower`` from ``lower``."""
+        """Return a copy of the error with its key prefixed: ``lower`` becomes ``parameters.1.lower``."""
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
-        """Return the error with `old` replaced by `new` if `old` is its key or the beginning of its key."""
+        """Return the error with `old` replaced by `new` in its key, if its key is `old` or begins with `old`."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
 
 
 class MissingFileError(ArgumentError, FileNotFoundError):
-    """Raised if a file, named by an argument or a key in a file, does not exist or cannot be read."""
+    """Raised if a file named by an argument, or by a key in another file, does not exist or cannot be read."""
 
     __new__ = FileNotFoundError.__new__  # type: ignore[assignment]  # its instances are larger than those of ValueError
 
 
 class _ByName(type):
-    """Substitute for a class that is imported only for type checking; it recognises instances by class name."""
+    """Stands in for a class imported only for type checking; it recognises instances by class name."""
 
     def __instancecheck__(cls, instance: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(instance).__mro__)
@@ -115,7 +115,7 @@ class _ByName(type):
 
 
 class _Names(dict[str, object]):
-    """Namespace in which annotations are evaluated: module globals, builtins, `fmu.types` and substitutes."""
+    """Namespace in which annotations are evaluated: module globals, builtins, `fmu.types` and stand-ins."""
 
     def __missing__(self, name: str) -> object:
         if name in vars(builtins):
@@ -126,7 +126,7 @@ class _Names(dict[str, object]):
 
 
 def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
-    """Wrap a function or class to check its arguments against their annotations at every call.
+    """Wrap a function or class so that every call checks its arguments against their annotations.
 
     An invalid argument raises a ValueError ``name: must be … (got …)``. A missing or unexpected argument raises a
     TypeError, as usual in Python.
@@ -151,11 +151,11 @@ def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
 
 
 class OldNameWarning(FutureWarning):
-    """Warning about an argument or a key in a file that has been renamed."""
+    """Warns about an argument or a file key that has been renamed."""
 
 
 def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> dict[str, Any]:
-    """Return arguments, or a table of a file, with old names replaced by present ones; warn of each old name."""
+    """Replace old names in arguments, or in a table from a file, by present ones; warn about each old name."""
     old = [name for name in present if name in given and present[name] not in given]
     for name in old:
         text = f"{name} is now called {present[name]}: the old name still works; please replace it"
@@ -191,14 +191,14 @@ def _require(name: str, value: object, rule: Rule) -> None:
 
 
 def as_list[One](given: One | Sequence[One]) -> list[One]:
-    """Return one value or several as a list; text is one value."""
+    """Return a list of values, given one value or several; a string is one value."""
     if isinstance(given, Sequence) and not isinstance(given, str):
         return list(given)
     return [given]
 
 
 def shown(value: object) -> str:
-    """Return a value as text for a message, in one line of at most 80 characters."""
+    """Format a value for a message, in one line of at most 80 characters."""
     try:
         text = " ".join(repr(value).split())
     except Exception:  # whatever the user's own __repr__ raises
@@ -208,7 +208,7 @@ def shown(value: object) -> str:
 
 @cache
 def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
-    """Return the signature of a function, and the rule of each annotated argument by name."""
+    """Return a function's signature, and the rule of each annotated argument by name."""
     signature = inspect.signature(door)
     arrays = dict.fromkeys(("ArrayLike", "FloatArray", "IntArray"), Numbers)
     names = _Names({"os": os} | door.__globals__ | arrays)
@@ -222,7 +222,7 @@ def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
 
 
 def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
-    """Return the error if a value breaks a rule; None if it does not."""
+    """Return the error if a value breaks a rule, or None if it does not."""
     if rule.pick(OwnRule):
         return None
     options = rule.options
@@ -244,7 +244,7 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 
 
 def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]:
-    """Yield, for each entry of a sequence or mapping, its error, or None if it is valid."""
+    """Yield an error or None for each entry of a sequence or mapping."""
     origin, of = get_origin(rule.form), rule.parts
     if origin is tuple and of and of[-1].form is not Ellipsis:
         if len(value) != len(of):

@@ -1,4 +1,4 @@
-"""Test of whether points are inside a box, such as the bounds of the parameters."""
+"""Checks whether points are inside a box, such as the parameter bounds."""
 
 from __future__ import annotations
 

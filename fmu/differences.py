@@ -1,4 +1,4 @@
-"""Points for finite differences: central differences inside a box, one-sided differences at its bounds."""
+"""Points for finite differences: central differences within bounds, one-sided differences at the bounds."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ def both_sides(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the points on both sides of each centre along every coordinate, and the distances between them.
 
-    A point outside the box is moved to the boundary. If the centre itself is outside, the point farther outside is
-    replaced by the centre.
+    A point outside the bounds is moved to the boundary. If the centre itself is outside, the point farther outside
+    is replaced by the centre.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def both_sides(
     points : ndarray, shape (2, n, ndim, ndim)
         ``points[0, :, k]`` are above the centres along coordinate k, ``points[1, :, k]`` are below.
     distance : ndarray, shape (n, ndim)
-        The distance between the two points along each coordinate.
+        Distance between the two points along each coordinate.
     """
     shift, at = np.diag(step), centre[:, None, :]
     lower, upper = (np.broadcast_to(wall, centre.shape)[:, None, :] for wall in (lower, upper))

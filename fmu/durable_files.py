@@ -15,7 +15,7 @@ class DamagedError(ValueError):
 
 
 def write_durably(path: Path, content: bytes | memoryview) -> None:
-    """Write a file such that even a power failure leaves either its old or its complete new content.
+    """Write a file so that even a power failure leaves either its old or its complete new content.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 def make_directory(path: Path) -> None:
-    """Create a directory, unless it exists, in such a way that it survives a power failure."""
+    """Create a directory unless it exists, so that it survives a power failure."""
     if not path.is_dir():
         path.mkdir()
         sync_directory(path.parent)
@@ -57,12 +57,12 @@ def digest(content: bytes) -> str:
 
 
 def add_checksum(title: str, payload: bytes) -> bytes:
-    """Return the content of a file: a title, the checksum of the payload, and the payload."""
+    """Return file content that consists of a title, the checksum of the payload, and the payload."""
     return f"{title}\n{digest(payload)}\n".encode() + payload
 
 
 def payload_of(title: str, content: bytes) -> bytes:
-    """Return the payload from the file content that `add_checksum` returned.
+    """Return the payload of file content that `add_checksum` made.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def payload_of(title: str, content: bytes) -> bytes:
 
 
 def sync_directory(directory: Path) -> None:
-    """Write the entries of a directory to disk, on systems that support it."""
+    """Flush the entries of a directory to disk, on systems that support it."""
     if os.name == "posix":
         handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         try:

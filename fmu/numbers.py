@@ -15,7 +15,7 @@ _MOST_DECIMALS, _MOST_DIGITS = 12, 15
 _SMALLEST, _LARGEST = 1e-4, 1e7
 """Range of numbers written in decimal notation; numbers outside it are written with a power of ten."""
 _AS_WRITTEN = 10
-"""Largest number of digits of a value that was entered by a user; values with more digits were computed."""
+"""Largest number of digits of a value that a user entered; values with more digits were computed."""
 _FREQUENCY_DIGITS = 6
 _FEW = 1e-4
 
@@ -30,7 +30,7 @@ _SHOWN = {
 
 
 class Unit(NamedTuple):
-    """A unit for display; a number in SI units divided by `factor` is in the unit `name`."""
+    """A display unit; a number in SI units divided by `factor` is in the unit `name`."""
 
     factor: float
     name: str
@@ -41,12 +41,12 @@ class Unit(NamedTuple):
 
 
 def customary_unit(unit: str) -> Unit:
-    """Return the unit customarily used instead of the SI unit `unit`, or `unit` itself if there is none."""
+    """Return the customary unit for the SI unit `unit`, or `unit` itself if there is none."""
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
 def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
-    """Format a value, given in an SI unit, in its customary unit, with digits justified by `sd`: ``"170 GPa"``."""
+    """Format a value in SI units in its customary unit, with digits justified by `sd`: ``"170 GPa"``."""
     factor, name = customary_unit(unit)
     value, sd = value / factor, sd / factor
     return f"{given(value) if math.isnan(sd) else round_by_sd(value, sd)} {name}".rstrip()
@@ -173,7 +173,7 @@ def given(value: float) -> str:
 
 
 def typed(value: float) -> str:
-    """Format a number with all its digits for a file or a command line: ``"1.5e+11"``, ``"-0.1"``."""
+    """Format a number with all its digits, for a file or a command line: ``"1.5e+11"``, ``"-0.1"``."""
     short = f"{value:.6g}"
     return short if float(short) == value or math.isnan(value) else repr(float(value))
 
@@ -184,10 +184,10 @@ def _digits(value: float) -> int:
 
 
 def share(part: float, digits: int = 2) -> str:
-    """Format a share of a whole as a percentage: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
+    """Format a fraction as a percentage: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    The share has `digits` significant digits, or more if needed to show `digits` - 1 significant digits of its
-    complement, but never a power of ten.
+    The percentage has `digits` significant digits, or more if needed to show `digits` - 1 significant digits of
+    its complement, but never a power of ten.
     """
     if not math.isfinite(part):
         return MISSING
@@ -216,7 +216,7 @@ def change(ratio: float) -> str:
 
 
 def whole(value: SupportsInt | None) -> str:
-    """Format a whole number with thousands separated; None, NaN and pandas' NA give a dash."""
+    """Format a whole number with separated thousands; None, NaN and pandas' NA give a dash."""
     if value is None or str(value) in ("nan", "<NA>"):
         return MISSING
     return f"{int(value):,}".replace(",", " ")
@@ -229,12 +229,12 @@ def about(value: float) -> str:
 
 
 def listed(values: Iterable[float], digits: int = 3) -> str:
-    """Format a list of numbers of unknown uncertainty: ``"0.5, 1.25, 3e10"``."""
+    """Format numbers of unknown uncertainty as a list: ``"0.5, 1.25, 3e10"``."""
     return ", ".join(significant(value, digits) for value in values)
 
 
 def names_in_words(names: Sequence[str]) -> str:
-    """Join names to a list in words: ``"a, b and c"``."""
+    """Join names into a list in words: ``"a, b and c"``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -268,13 +268,13 @@ def _infinite(value: float) -> str:
 
 
 def _power(text: str) -> str:
-    """Return a formatted number without the plus sign and leading zeros of its power of ten."""
+    """Drop the plus sign and leading zeros of a formatted number's exponent."""
     mantissa, e, exponent = text.partition("e")
     return _drop_sign_of_zero(f"{mantissa}e{int(exponent)}" if e else mantissa)
 
 
 def _drop_sign_of_zero(text: str) -> str:
-    """Return a formatted number, without the minus sign if it is zero."""
+    """Drop the minus sign of a formatted number that is zero."""
     if text.startswith("-") and not any(digit in "123456789" for digit in text.partition("e")[0]):
         text = text[1:]
     return text

@@ -1,6 +1,6 @@
-"""Values of plain Python types, as a file of TOML or JSON has them, told apart by one function each.
+"""Functions that recognise tables, lists and numbers among plain Python values, as read from TOML or JSON.
 
-This module imports neither NumPy nor anything else that is slow: the commands need it before they need numbers.
+This module imports nothing slow, not even NumPy, because the commands need it before they need numbers.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from typing import Any
 
 
 def mapping_in(value: object) -> Mapping[str, Any] | None:
-    """Return a value that is a mapping, as a table of a file is; None for any other value."""
+    """Return `value` if it is a mapping, such as a table in a file; otherwise None."""
     return value if isinstance(value, Mapping) else None
 
 
 def list_in(value: object) -> list[Any] | None:
-    """Return a value that is a list; None for any other value."""
+    """Return `value` if it is a list, otherwise None."""
     return value if isinstance(value, list) else None
 
 
 def number_in(value: object) -> int | float | None:
-    """Return a value that is a number, as true and false are in Python; None for any other value."""
+    """Return `value` if it is a number, otherwise None; True and False count as numbers, as in Python."""
     return value if isinstance(value, int | float) else None

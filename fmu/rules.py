@@ -56,22 +56,22 @@ class Rule:
 
     @cached_property
     def options(self) -> list[Rule]:
-        """The rules of the members of a union, at least one of which must hold; empty for all other types."""
+        """Rules of a union's members, at least one of which must hold; empty for all other types."""
         is_union = self.origin in (Union, UnionType)
         return [Rule.of(one, self.marks) for one in get_args(self.form)] if is_union else []
 
     @cached_property
     def parts(self) -> list[Rule]:
-        """The rules of the type parameters, such as the rule of the entries of a sequence."""
+        """Rules of the type parameters, such as the rule for the entries of a sequence."""
         return [Rule.of(one) for one in get_args(self.form)]
 
     def pick[Mark](self, *kinds: type[Mark]) -> list[Mark]:
-        """Return the list of metadata that are instances of the given classes."""
+        """Return the metadata that are instances of the given classes."""
         return [mark for mark in self.marks if isinstance(mark, kinds)]
 
     @cached_property
     def limits(self) -> list[tuple[str, float]]:
-        """The limits on a number, as pairs of comparison and value, such as ``("gt", 0.0)``."""
+        """Limits on a number, as pairs of comparison and value, such as ``("gt", 0.0)``."""
         marks: list[Gt | Ge | Lt | Le | Interval] = self.pick(Gt, Ge, Lt, Le, Interval)
         return [(key, end) for mark in marks for key, end in asdict(mark).items() if end is not None]
 
@@ -176,7 +176,7 @@ _KINDS |= dict.fromkeys(_SEQUENCES, _Kind("a sequence", (_Indexed,), (str, bytes
 
 
 def in_words(rule: Rule) -> str:
-    """Return a description of a rule, such as ``"a positive finite number or None"``."""
+    """Describe a rule in words, such as ``"a positive finite number or None"``."""
     origin, of = rule.origin, rule.parts
     if rule.options:
         parts = list(dict.fromkeys(map(in_words, rule.options)))

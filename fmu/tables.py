@@ -40,7 +40,7 @@ def data_frame(
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[int] = (0,), width: int = WIDTH
 ) -> str:
-    """Return a table as text, with columns as wide as their cells.
+    """Format a table as text, with columns as wide as their cells.
 
     If the table would be wider than `width`, columns of words are wrapped. If that is not enough, the remaining
     columns follow below, with the first column repeated.
@@ -62,14 +62,14 @@ def text_table(
 
 
 def wrap_text(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
-    """Return a text wrapped to lines of `width` characters, with the given indents; long words are not broken."""
+    """Wrap a text to lines of `width` characters, with the given indents; long words are not broken."""
     return textwrap.fill(
         text, width, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
     )
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return unique names, made by appending underscores to repeated names."""
+    """Make names unique by appending underscores to repeated names."""
     found: list[str] = []
     for name in names:
         while name in found:
@@ -79,7 +79,7 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list[int]:
-    """Return the column widths after narrowing columns of words until the table fits, if possible."""
+    """Narrow the columns of words until the table fits, if possible; return the column widths."""
     widths = list(widths)
     narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are easier to read on one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
@@ -102,7 +102,7 @@ def _blocks(widths: list[int], width: int) -> list[list[int]]:
 
 
 def _lines(columns: list[list[str]], widths: list[int], words: Collection[int], block: list[int]) -> Iterator[str]:
-    """Yield the lines of the part of the table with the columns in `block`."""
+    """Yield the text lines of the columns in `block`."""
     for row in zip(*(columns[i] for i in block), strict=True):
         cells = [textwrap.wrap(cell, widths[i]) or [""] for i, cell in zip(block, row, strict=True)]
         for line in range(max(map(len, cells))):
@@ -115,7 +115,7 @@ def _lines(columns: list[list[str]], widths: list[int], words: Collection[int], 
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
-    """Return a table in Markdown.
+    """Format a table in Markdown.
 
     Parameters
     ----------

@@ -39,14 +39,14 @@ the test of each quantity, (m,); it returns the derivatives by the parameters of
 
 @runtime_checkable
 class LogDensity(Protocol):
-    """An unnormalised log-density on a box, evaluated in batches.
+    """An unnormalised log-density within bounds, evaluated in batches.
 
     Attributes
     ----------
     ndim : int
         Number of coordinates.
     lower, upper : ndarray, shape (ndim,)
-        The bounds of the box; ``-inf`` and ``inf`` where a coordinate is unbounded.
+        Bounds; ``-inf`` and ``inf`` where a coordinate is unbounded.
     """
 
     ndim: int
@@ -54,9 +54,9 @@ class LogDensity(Protocol):
     upper: FloatArray
 
     def log_prob(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, a float for shape ``(ndim,)`` and an array ``(n,)`` for shape ``(n, ndim)``.
+        """Return the log-density, a float for theta of shape ``(ndim,)``, or an array ``(n,)`` for ``(n, ndim)``.
 
-        The log-density is ``-inf`` outside the box.
+        The log-density is ``-inf`` outside the bounds.
         """
         ...
 

@@ -1,6 +1,6 @@
-"""Engines, which run tasks in this process, in processes on this machine or on a Dask cluster; results are equal.
+"""Engines, which run tasks in this process, in processes on this machine or on a Dask cluster, with equal results.
 
-Read `base` (the interface) first, then `remote` (the code that the two engines with worker processes share).
+Read `base` (the interface) first, then `remote` (the code shared by the two engines with worker processes).
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class Engine(Protocol):
         ...
 
     def free_memory(self) -> int | None:
-        """Return the number of bytes of memory that the workers may use together; None if it is not known."""
+        """Return the bytes of memory that the workers may use together, or None if this is not known."""
         ...
 
     def run_tasks[Shared, Task, Result](
@@ -142,7 +142,7 @@ class InProcess(Engine):
         return [results[i] for i in range(len(tasks))]
 
     def free_memory(self) -> int | None:
-        """Return the number of free bytes of memory on this machine; None if the system does not report it."""
+        """Return the free bytes of memory on this machine, or None if the system does not report it."""
         return free_memory()
 
     def close(self) -> None:

@@ -80,7 +80,7 @@ class DaskCluster(RemoteEngine):
 
     @property
     def workers(self) -> int:
-        """Total number of threads of the workers present, at least 1."""
+        """Total number of threads of the connected workers, at least 1."""
         return max(1, sum(self._client.nthreads().values()))
 
     def free_memory(self) -> int | None:
@@ -174,7 +174,7 @@ class DaskCluster(RemoteEngine):
 
 
 class _Thread(threading.local):
-    """The shared object that this thread of a worker unpickled last; every thread has its own copy."""
+    """The shared object that this worker thread unpickled last; every thread has its own copy."""
 
     name = ""
     shared = Shared(b"")
@@ -184,7 +184,7 @@ _thread = _Thread()
 
 
 class Bytes:
-    """A wrapper around bytes whose content Dask does not inspect.
+    """A wrapper around bytes, so that Dask does not inspect the content.
 
     Parameters
     ----------

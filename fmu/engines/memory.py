@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def free_memory() -> int | None:
-    """Return the number of bytes that this process may still allocate; None if the system does not report it."""
+    """Return the bytes of memory that this process may still allocate, or None if that is not reported."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         free = next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))

@@ -53,7 +53,7 @@ class WorkerProcess:
         self._has: bytes | None = None  # the shared data that were sent last
 
     def give(self, task: Task, shared: bytes) -> None:
-        """Send a task to the worker and, unless it already has them, the data that all tasks share."""
+        """Send a task to the worker, preceded by the data that all tasks share unless it already has them."""
         packed = task.pack()
         self.task = task
         with suppress(OSError):  # the worker has died; `message` will return this
@@ -63,7 +63,7 @@ class WorkerProcess:
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return the next message: ``("nothing", None)`` for none, ``("died", how)`` if the worker has died."""
+        """Return the worker's next message, ``("nothing", None)`` if none, or ``("died", how)`` if it has died."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()
@@ -112,7 +112,7 @@ class ProcessPool(RemoteEngine):
         return self._workers
 
     def free_memory(self) -> int | None:
-        """Return the number of free bytes of memory on this machine; None if the system does not report it."""
+        """Return the free bytes of memory on this machine, or None if the system does not report it."""
         return free_memory()
 
     def close(self) -> None:
@@ -207,9 +207,9 @@ def _name_of_signal(number: int) -> str:
 def _quiet_start() -> Iterator[None]:
     """Block interrupts and hide the main module while a process starts.
 
-    A spawned process imports the main module of the program, which would itself start processes if it lacks
-    ``if __name__ == "__main__":``. Functions of the main module are pickled by value here, so no worker has to
-    import it.
+    A spawned process imports the program's main module, which would itself start processes if it lacks ``if
+    __name__ == "__main__":``. Functions of the main module are pickled by value here, so no worker has to import
+    it.
     """
     with _starting:
         main = sys.modules["__main__"]

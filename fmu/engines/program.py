@@ -1,4 +1,4 @@
-"""Execution of a user's program with a time limit; the program is killed when the calling process ends."""
+"""Runs a user's program with a time limit; the program is killed when the calling process ends."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def run_program(
     output: Path,
     timeout_s: float,
 ) -> str:
-    """Run a program until it ends; return the reason why it failed, or an empty string if it succeeded.
+    """Run a program until it ends; return why it failed, or an empty string if it succeeded.
 
     Parameters
     ----------
     command : sequence of str
-        The path of the program and its arguments, which no shell interprets.
+        Path of the program and its arguments, which no shell interprets.
     folder : Path
         Working directory of the program.
     output : Path

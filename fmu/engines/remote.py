@@ -42,7 +42,7 @@ class Task(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The outcome of a task: the bytes returned by `carry_out`, or the number of successive worker deaths.
+    """Outcome of a task: the bytes returned by `carry_out`, or the number of successive worker deaths.
 
     `how` says how the last worker died.
     """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
-    """Yield a callback that draws one bar per phase; None if there is no notebook and no terminal."""
+    """Yield a callback that draws one bar per phase, or None if there is no notebook and no terminal."""
     from fmu.progress.displays import NotebookBars, SuccessiveBars
 
     if in_notebook():
@@ -43,7 +43,7 @@ def json_lines(stream: TextIO) -> JSONLines:
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Yield the callback for an argument `progress`, or None if nothing is displayed.
+    """Yield the callback that an argument `progress` requests, or None if nothing is displayed.
 
     A callable is yielded unchanged. True gives bars, None gives bars only in a notebook, and False gives no
     display. The bars show the `label` before the name of the phase.
@@ -58,12 +58,12 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
 
 
 def end_bars(report: Report | None) -> None:
-    """Stop updating the bars that a callback draws, so text can be printed below them; ignore other callbacks."""
+    """Stop updating the bars that a callback draws, so that text can be printed below; ignore other callbacks."""
     getattr(report, "end", lambda: None)()
 
 
 def add_label(report: Report, label: str) -> Report:
-    """Return a callback that adds ``label`` to the information of every report."""
+    """Return a callback that adds ``label`` to the information in every report."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:
         report(phase, done, total, {"label": label, **info})
@@ -72,7 +72,7 @@ def add_label(report: Report, label: str) -> Report:
 
 
 def in_notebook() -> bool:
-    """Return True if the code runs in the kernel of a Jupyter notebook."""
+    """Return True if the code runs in a Jupyter notebook kernel."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return getattr(shell, "kernel", None) is not None
 

@@ -163,7 +163,7 @@ class JSONLines:
         self.close()
 
     def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Write a line with `done` of `total` steps of a phase; hold it back if the last line is too recent."""
+        """Write a line with `done` of `total` steps of a phase, or defer it if the last line is too recent."""
         name, now = bar_name(phase, info), time.monotonic()
         self._paces[name].add(now, done, total)
         left = self._paces[name].remaining(now)
@@ -184,7 +184,7 @@ class JSONLines:
             self._held_back[name] = line
 
     def close(self) -> None:
-        """Write the lines that were held back, but do not close the stream."""
+        """Write the deferred lines, but do not close the stream."""
         for line in self._held_back.values():
             self._lines.write(as_json(line))
         self._held_back.clear()

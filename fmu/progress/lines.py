@@ -1,4 +1,4 @@
-"""Progress as log lines where there is no terminal: one line at each stage, then one line every 30 s."""
+"""Progress as log lines if there is no terminal: one line at each stage, then one line every 30 s."""
 
 from __future__ import annotations
 

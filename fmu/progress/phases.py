@@ -1,4 +1,4 @@
-"""The phases of a run other than the draws: their progress, and the number of solves of the model in each phase.
+"""The phases of a run other than the draws: their progress, and the number of model solves in each phase.
 
 Code that may take long opens a `phase` and calls `Phase.advance`. Models call `count_solves`. `told_to` sets the
 callbacks that receive the reports, so the functions in between need not pass them on.
@@ -47,7 +47,7 @@ class Phase:
     Attributes
     ----------
     said : dict of str to float
-        Further numbers, by name, that are added to the information of a report.
+        Further numbers, by name, to include in each report.
     """
 
     def __init__(self, name: str, total: int, report: Report | None, notes: tuple[Note, ...] = ()) -> None:
@@ -60,7 +60,7 @@ class Phase:
         self.tell()
 
     def advance(self, steps: int = 1) -> None:
-        """Add `steps` to the number of steps done, and report."""
+        """Add `steps` to the number of completed steps, and report."""
         self.done += steps
         self.total = max(self.total, self.done)
         self.tell()
@@ -70,7 +70,7 @@ class Phase:
         self.total += steps
 
     def count_solves(self, n: int) -> None:
-        """Add `n` to the number of solves of the model, and report."""
+        """Add `n` to the number of model solves, and report."""
         self.solves += n
         self.tell()
 
@@ -115,7 +115,7 @@ def told_to(
 
 
 def tell_fact(fact: str) -> None:
-    """Write a fact, such as the size of the model, to the log; do nothing if there is no log."""
+    """Write a fact, such as the size of the model, to the log, if there is one."""
     tell = _teller.get()
     if tell is not None:
         tell(fact)
@@ -143,7 +143,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
 
 
 def advance_phase(steps: int = 1) -> None:
-    """Add `steps` to the number of steps done in the current phase, if there is one."""
+    """Add `steps` to the number of completed steps in the current phase, if there is one."""
     under_way = _phase.get()
     if under_way is not None:
         under_way.advance(steps)
@@ -156,9 +156,9 @@ def by_parts[Found](
     most: int = 4096,
     least: int = 1,
 ) -> list[Found]:
-    """Apply a function to batches of points, (n, ...), and report this as a phase; return the list of results.
+    """Apply a function to batches of points (n, ...), reported as a phase; return the list of results.
 
-    The batch size is chosen such that a batch takes some tenths of a second. A batch has at least `least` and at
+    The batch size is chosen so that a batch takes some tenths of a second. A batch has at least `least` and at
     most `most` rows; the last one may have fewer.
     """
     found: list[Found] = []
@@ -189,5 +189,5 @@ def solves() -> int:
 
 
 def gradients() -> int:
-    """Return the number of solves counted in this process that also gave an exact gradient."""
+    """Return the number of solves in this process that also gave an exact gradient."""
     return _Count.gradients

@@ -15,7 +15,7 @@ Info = Mapping[str, str | int | float]
 Report = Callable[[str, int, int, Info], None]
 """Called as ``report(phase, done, total, info)``: steps done and total steps of a phase, and further items."""
 HIDDEN = ("label", "group", "lp", "solves", "elapsed_s")
-"""Items that are not listed beside a bar. The first two are part of the bar's name."""
+"""Items not listed beside a bar. The first two are part of the bar's name."""
 
 _RATE = "_per_s"
 _DIGITS = {"accept": 2, "rhat": 3}
@@ -37,7 +37,7 @@ def in_words(info: Info, brief: bool = False) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time in s as text, ``0:04`` (4 s) or ``1:02:03``; ``-:--`` if the time is not known."""
+    """Format a time in s, ``0:04`` (4 s) or ``1:02:03``; ``-:--`` if the time is not known."""
     if seconds is None or not math.isfinite(seconds):
         return "-:--"
     minutes, s = divmod(math.ceil(seconds), 60)
@@ -46,7 +46,7 @@ def duration(seconds: float | None) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number as text of about three digits, with thousands as ``1.2k``; ``–`` if it is not finite."""
+    """Format a number with about three digits, with thousands as ``1.2k``; ``–`` if it is not finite."""
     if not math.isfinite(value):
         return MISSING
     for size, prefix in _PREFIXES:
@@ -57,7 +57,7 @@ def number(value: float) -> str:
 
 
 def as_json(value: object) -> str:
-    """Return a value as JSON text: NumPy numbers become numbers, non-finite values null, other objects text."""
+    """Convert a value to JSON text: NumPy numbers become numbers, non-finite values null, other objects text."""
     return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 
 

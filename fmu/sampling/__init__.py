@@ -1,4 +1,4 @@
-"""`fmu.sample`, which draws from the posterior of a problem and returns a trace."""
+"""`fmu.sample`, which samples the posterior of a problem and returns a trace."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fmu.types import LogDensity, Positive
 
 INITS = ("maxima", "prior", "start")
-"""Values of `init` that name where the chains start."""
+"""Values of `init` that name starting points."""
 DEFAULT_SAMPLER = "mixture"
 """The sampler with the most effective draws per evaluation in all comparisons, with and without gradients.
 
@@ -81,7 +81,7 @@ def sample(
         a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests, or ``"hmc"`` if the
         model has a discrepancy.
     draws, warmup : int
-        Number of steps that are kept, and number of warm-up steps before them. Each kept step of an ensemble gives
+        Number of retained steps, and number of warm-up steps before them. Each retained step of an ensemble gives
         one draw per walker.
     chains : int
         Number of independent chains or, for an ensemble sampler, of independent ensembles.
@@ -89,8 +89,8 @@ def sample(
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`). But for a density other than an `UpdatingProblem`, unless it
-        has several maxima, they start at draws from its prior if it has one. ``"prior"``: at draws from the prior.
+        probability (`fmu.analysis.maxima.starts`). For a density other than an `UpdatingProblem` this means draws
+        from its prior, if it has one, unless it has several maxima. ``"prior"``: at draws from the prior.
         ``"start"``: at ``problem.start``. An array: at these points, in SI units.
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
@@ -109,13 +109,13 @@ def sample(
         number of steps of at least 50 autocorrelation times; four ensembles of 32 walkers then have an ESS of at
         least 6400.
     max_draws : int, optional
-        Largest number of steps that are kept, whatever the verdict. Defaults to 32 times `draws`, or to no limit
-        if `max_solves` is given.
+        Largest number of retained steps, whatever the verdict. Defaults to 32 times `draws`, or to no limit if
+        `max_solves` is given.
     max_solves : int, optional
         Approximate largest number of solves, including warm-up. If the sampler usually needs more solves for
         `warmup` and `draws`, both are shortened. The verdict reports this, and any excess over the limit.
     maxima : Maxima, optional
-        The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
+        Result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
         `fmu.sample` searches for the maxima, wherever the chains start, except in a hierarchical posterior.
     checkpoint : path-like or Checkpoint, optional
         A directory in which the draws and the state of the sampler are saved during the run. The same call with
@@ -140,11 +140,12 @@ def sample(
     xarray.DataTree
         The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
         number of solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
-        gradient relative to that of a log-probability, if the sampler uses exact gradients; the certificate of the
-        reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, which states the limit
-        at which a run with `until_ess` ended before its verdict was good. The trace of an updating problem also
-        has the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
-        ``identifiability`` (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`).
+        gradient divided by the time of a log-probability, if the sampler uses exact gradients; the certificate of
+        the reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, which states the
+        limit at which a run with `until_ess` ended before its verdict was good. The trace of an updating problem
+        also has the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing``
+        (`fmu.analysis.pairing_changes`), ``identifiability`` (`fmu.analysis.identifiability`) and
+        ``leave_one_out`` (`fmu.analysis.held_out.modes`).
 
     Raises
     ------
@@ -204,7 +205,7 @@ DEFAULTS: Mapping[str, Any] = {
     for name, argument in inspect.signature(sample).parameters.items()
     if argument.kind is argument.KEYWORD_ONLY
 }
-"""The keyword arguments of `sample` and their default values, which ``fmu run`` uses too."""
+"""Keyword arguments of `sample` with their default values, which ``fmu run`` uses too."""
 
 
 def _settings_of(sampler: str | Sampler) -> Sampler:
@@ -233,7 +234,7 @@ def _check(
     groups: Any,
     seed: Any,
 ) -> dict[str, int]:
-    """Return the numbers that determine the draws of a run; raise ValueError if an argument is invalid."""
+    """Return the numbers that determine a run's draws, by name; raise ValueError if an argument is invalid."""
     import numpy as np
 
     from fmu.analysis.trace.densities import names_of

@@ -1,4 +1,4 @@
-"""The limits of a run: the number of draws, the number of solves, and the effective sample size to reach."""
+"""The limits of a run: numbers of draws and solves, and the effective sample size (ESS) to reach."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from fmu.samplers.loop.record import RunResult
 
 GROWTH_LIMIT = 32
-"""Default ratio of `max_draws` to `draws`."""
+"""Default `max_draws` divided by `draws`."""
 
 
 class Limits(NamedTuple):
@@ -21,7 +21,7 @@ class Limits(NamedTuple):
     first : int
         Number of steps after which convergence is first judged.
     until_ess : float or None
-        Effective sample size at which the run ends. If it is None, the run ends after `first` steps.
+        ESS at which the run ends. If it is None, the run ends after `first` steps.
     draws, solves : int or None
         Largest number of steps, and of solves; None if there is no limit.
     """
@@ -52,7 +52,7 @@ class Limits(NamedTuple):
         return cls(draws, until_ess, max_draws, max_solves)
 
     def shorten(self, warmup: int, costs: tuple[float, float]) -> tuple[int, Limits]:
-        """Return the number of warm-up steps and the limits, with steps reduced if they would exceed `solves`.
+        """Reduce the planned steps if they would exceed `solves`; return the warm-up steps and the limits.
 
         The number of warm-up steps and `first` are reduced by the same factor.
 
@@ -70,10 +70,9 @@ class Limits(NamedTuple):
         return int(part * warmup), self._replace(first=max(int(part * self.first), 1))
 
     def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
-        """Return the number of steps to draw first, after `warmup` warm-up steps that took `solves` solves.
+        """Return how many steps to draw first, after `warmup` warm-up steps that took `solves` solves.
 
-        If these took more solves per step than usual, the steps after warm-up are assumed to do so by the same
-        factor.
+        If warm-up took more solves per step than usual, later steps are assumed to do so by the same factor.
         """
         if self.solves is None:
             return self.first
@@ -81,7 +80,7 @@ class Limits(NamedTuple):
         return max(min(self.first, int((self.solves - solves) / (dearer * costs[1]))), 1)
 
     def allow(self, result: RunResult) -> tuple[int, str]:
-        """Return the number of further steps allowed, and the limit in words if it is reached, else "".
+        """Return the number of further steps allowed, and the limit in words if it is reached, otherwise "".
 
         Each further step is assumed to take the average number of solves of the steps so far. If the remaining
         solves suffice for at most 1 % more steps, no further step is allowed.

@@ -1,4 +1,4 @@
-"""Comparison of models of the same data, which are first sampled if there are no draws yet."""
+"""Comparison of models of the same data, which are sampled first if there are no draws yet."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def compare_models(
     ModelComparison
         Its ``table`` is a `pandas.DataFrame` with one row per model, and its ``sentences`` interpret the table:
 
-        - ``log_evidence``, ``error``: log of the evidence and its standard error (from `fmu.evidence`, or from the
-          masses of the maxima); NaN if unknown, for a reason that a sentence gives;
+        - ``log_evidence``, ``error``: log-evidence and its standard error (from `fmu.evidence`, or from the masses
+          of the maxima); NaN if unknown, for a reason that a sentence gives;
         - ``difference``: difference from the largest log-evidence;
         - ``probability``: posterior probability of the model, if all models with an evidence were equally probable
           before the test;
         - ``n_parameters``: number of parameters, including inferred standard deviations;
         - ``held_out``: number of modes that every model predicts from the other modes (`fmu.leave_one_out`);
         - ``inside``: number of these modes that lie in their 90 % predictive intervals;
-        - ``sum_z2``: Σ z² over these modes, where z is the error of the prediction in standard deviations;
+        - ``sum_z2``: Σ z² over these modes, where z is the prediction error in standard deviations;
         - ``elpd``, ``elpd_se``: log predictive density of these modes, and its standard error;
         - ``p``: probability of a larger χ² of the residuals if the model is right (`fmu.diagnose`);
         - ``verdict``: whether the data contradict the model;

@@ -1,4 +1,4 @@
-"""Updates with simulated tests of a plan, which show how good its linearised accuracy is."""
+"""Updating with simulated tests of a plan, to show how good the plan's linearised accuracy is."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fmu.sampling.simulated_updates import SimulatedTests, Updates, summarise_up
 from fmu.types import FloatArray
 
 ENOUGH = 400.0
-"""Number of effective draws of every parameter at which an update ends."""
+"""ESS of every parameter at which an update ends."""
 _MOST = 20  # times as many draws at most
 
 
@@ -37,9 +37,9 @@ def simulate_plan(
     draws: Draws = 200,
     seed: Seed = 1,
 ) -> SimulatedTests:
-    """Simulate tests as planned, update the parameters with each, and compare the real with the expected accuracy.
+    """Simulate tests as planned, update with each, and compare the real accuracy with the expected accuracy.
 
-    A test consists of the frequencies and shapes of the model at a draw from the prior, with random errors. The
+    A test consists of the model's frequencies and mode shapes at a draw from the prior, with random errors. The
     update pairs modes as in the plan and uses the same reduced model, so it takes only seconds.
 
     Parameters
@@ -53,7 +53,7 @@ def simulate_plan(
         Rows of ``plan.choices`` to compare with the plan. Defaults to effective independence and the smallest
         AutoMAC.
     draws : int
-        Number of draws of each of four chains; sampling continues until every parameter has 400 effective draws.
+        Number of draws in each of four chains; sampling continues until every parameter has an ESS of 400.
     seed : int
 
     Returns
@@ -100,7 +100,7 @@ def simulate_plan(
 
 
 def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
-    """Return the plan's model with the measured modes at only the sensors of a choice, for an update."""
+    """Return the plan's model reduced to the measured modes and the chosen sensors, for updating."""
     there, whole = plan.design.candidates, plan.design.found.model
     rows = there.rows(every)
     if isinstance(whole, ReducedStructure | PairedStructure):
@@ -112,7 +112,7 @@ def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
 
 
 def _reduce(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStructure | PairedStructure:
-    """Return the plan's reduced model, extended to all of the bounds, or one that is trained there.
+    """Return the plan's reduced model extended to the full bounds, or a newly trained one.
 
     The model is returned unchanged if a displacement has neither stiffness nor mass at a bound.
     """
@@ -128,13 +128,13 @@ def _reduce(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStr
 def simulated_problem(
     plan: Plan, model: ModalModel, every: Sequence[int], rng: np.random.Generator, theta: FloatArray
 ) -> UpdatingProblem:
-    """Return the problem of updating with one simulated test.
+    """Return the updating problem for one simulated test.
 
     Parameters
     ----------
     plan : Plan
     model : ModalModel
-        The result of `model_of` for the same choice.
+        Result of `model_of` for the same choice.
     every : sequence of int
         Indices of the candidates that the test uses, including those that are already mounted.
     rng : Generator

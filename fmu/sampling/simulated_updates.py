@@ -1,4 +1,4 @@
-"""Real and expected accuracy of updates with simulated tests, and the reasons where they differ."""
+"""Real and expected accuracy of updating with simulated tests, and the reasons where they differ."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ _OFTEN = 0.05  # share of draws near a bound, or with modes in another order, th
 
 
 class Update(NamedTuple):
-    """Accuracy of an update with one simulated test.
+    """Accuracy of updating with one simulated test.
 
     Attributes
     ----------
     real : ndarray, shape (p,)
-        Posterior standard deviations, in SI units.
+        Posterior standard deviations, SI units.
     at_truth, at_mean : ndarray, shape (p,)
         Standard deviations of the posterior linearised at the true parameters, and at its own mean.
     at_bounds : ndarray, shape (p,)
-        Share of the draws that are close to a bound.
+        Fraction of the draws that are close to a bound.
     skewness : ndarray, shape (p,)
     crossed : float
-        Share of the draws at which the measured modes are in a different order from that at the true parameters.
+        Fraction of the draws at which the measured modes are in a different order than at the true parameters.
     converged : bool
     """
 
@@ -64,7 +64,7 @@ class Update(NamedTuple):
 
 
 def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatArray, scale: FloatArray) -> Update:
-    """Return the accuracy of the update with one simulated test.
+    """Return the accuracy of updating with one simulated test.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
     truth : ndarray, shape (p,)
         True parameters of the simulated test.
     scale : ndarray, shape (p, p)
-        Factor L of the covariance LLᵀ of the parameters before the test.
+        Factor L of the parameter covariance LLᵀ before the test.
     """
     draws = parameter_draws(trace).reshape(-1, problem.ndim)
     information = problem.quadratic(np.stack([truth, draws.mean(axis=0)]))[2] + np.linalg.inv(scale @ scale.T)
@@ -96,7 +96,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
 
 @dataclass(frozen=True, eq=False)
 class Updates:
-    """Updates with all simulated tests for one choice of sensors, with the attributes of `Update` stacked.
+    """Updates with all simulated tests for one choice of sensors: the attributes of `Update`, stacked over tests.
 
     Attributes
     ----------
@@ -146,9 +146,9 @@ class SimulatedTests:
     Attributes
     ----------
     names : tuple of str
-        Names of the parameters.
+        Parameter names.
     expected : dict of str to ndarray, shape (p,)
-        Expected standard deviations for each choice of sensors, in SI units.
+        Expected standard deviations for each choice of sensors, SI units.
     updates : dict of str to Updates
         Updates with the simulated tests for each choice.
     """
@@ -158,11 +158,11 @@ class SimulatedTests:
     updates: Mapping[str, Updates]
 
     def ratios(self, choice: str = PLANNED) -> FloatArray:
-        """Return the ratios of real to expected standard deviations for a choice, shape (n_tests, p)."""
+        """Return a choice's ratios of real to expected standard deviation, shape (n_tests, p)."""
         return self.updates[choice].real / self.expected[choice]
 
     def table(self) -> pd.DataFrame:
-        """Return a table with the median and 90 % band of the ratios real/expected, with one row per choice."""
+        """Return a table with the median and 90 % band of the ratios real/expected, one row per choice."""
         rows = []
         for name, one in self.updates.items():
             low, middle, high = np.quantile(self.ratios(name), [0.05, 0.5, 0.95])
@@ -177,11 +177,11 @@ class SimulatedTests:
 
         - ``test`` (from 1), ``parameter`` and ``ratio``;
         - ``true values``, ``noise`` and ``shape``: the factors of the ratio. They are the standard deviation
-          linearised at the true parameters relative to the expected one, the one linearised at the posterior mean
-          relative to that at the true parameters, and the real one relative to that at the posterior mean;
-        - ``at_bounds``: share of draws close to a bound;
+          linearised at the true parameters divided by the expected one, the one linearised at the posterior mean
+          divided by the one at the true parameters, and the real one divided by the one at the posterior mean;
+        - ``at_bounds``: fraction of draws close to a bound;
         - ``skewness``;
-        - ``crossed``: share of draws with modes in another order;
+        - ``crossed``: fraction of draws with modes in another order;
         - ``reason``.
         """
         ratios, updates = self.ratios(), self.updates[PLANNED]

@@ -1,4 +1,4 @@
-"""The steps of `fmu.sample`: choose starting points, draw, convert to a trace, and analyse the draws."""
+"""Steps of `fmu.sample`: choose starting points, draw, convert to a trace, and analyse the draws."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Task(NamedTuple):
     ) -> Task:
         """Return the task, and discard the failures that the problem has recorded so far.
 
-        The warm-up and the first draws are shortened to fit within the limits. A resumed run keeps its warm-up.
+        Warm-up and the first draws are shortened to fit within the limits. A resumed run keeps its warm-up.
         """
         from fmu.analysis.trace.densities import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
@@ -268,7 +268,7 @@ def _as_trace(
 
 
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
-    """Return the opened checkpoint of a run."""
+    """Open the checkpoint of a run."""
     from fmu.analysis.trace.densities import names_of, units_of
     from fmu.analysis.trace.provenance import describe_inputs
     from fmu.runs.identity import Identity

@@ -1,4 +1,4 @@
-"""Construction of surrogates with certificates, and delayed acceptance, which gives exact draws.
+"""Building surrogates with certificates, and delayed acceptance, which gives exact draws.
 
 Reading order: learning, selection, error_limits; second_stage, delayed_acceptance.
 """

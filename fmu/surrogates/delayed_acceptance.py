@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 _MARGIN = 1.25
-"""Ratio of the number of proposals solved at first to the required effective sample size."""
+"""Number of proposals solved at first divided by the required ESS."""
 
 
 @check_arguments
@@ -43,21 +43,21 @@ def delayed_acceptance(
 ) -> xr.DataTree:
     """Return posterior draws of the model itself, made from posterior draws of its surrogate.
 
-    In delayed acceptance (Christen & Fox 2005, *J. Comput. Graph. Stat.* 14, 795–810), the chain of the surrogate
-    is the first stage. Its draws θ′ are proposals, which the second stage accepts with probability
+    In delayed acceptance (Christen & Fox 2005, *J. Comput. Graph. Stat.* 14, 795–810), the surrogate's chain is
+    the first stage. Its draws θ′ are proposals, which the second stage accepts with probability
 
     min(1, w(θ′)/w(θ)),  w = p(θ)/p̂(θ),
 
-    where p and p̂ are the posterior densities with the model and with the surrogate. If a solve fails, w = 0. The
-    proposals of a chain are the draws of a chain of the trace, thinned to at least two autocorrelation times. They
+    where p and p̂ are the posterior densities with the model and with the surrogate. If a solve fails, w = 0. A
+    chain's proposals are the draws of one chain of the trace, thinned to at least two autocorrelation times. They
     are known before the first solve, so all workers can solve in parallel. An independence sampler (Tierney 1994,
     *Ann. Stat.* 22, 1701–1762) accepts or rejects the proposals in order. It starts at a proposal drawn with
     probability proportional to w, and needs no burn-in.
 
     The limiting distribution is p, whatever the error of the surrogate, which only lowers the acceptance rate. A
-    finite run involves two approximations, both small compared with its Monte Carlo error: proposals are thinned
+    finite run involves two approximations, both small compared with its Monte-Carlo error: proposals are thinned
     draws of a Markov chain, and the starting point is one of finitely many proposals. Nothing is proposed where
-    the posterior of the surrogate has no mass.
+    the surrogate's posterior has no mass.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def delayed_acceptance(
         A problem with a surrogate, from `fmu.surrogate`.
     trace : xarray.DataTree
         The result of `fmu.sample` for this problem. The number of proposals is a quarter to a half of its
-        effective sample size. A trace with ``until_ess=2000`` has enough draws if the surrogate is good.
+        effective sample size (ESS). A trace with ``until_ess=2000`` has enough draws if the surrogate is good.
     until_ess : float
         Bulk and tail ESS that every parameter must reach, at least the ESS that convergence requires. At first,
         1.25 times this number of proposals are solved, and then more if the ESS is too small.
@@ -78,8 +78,8 @@ def delayed_acceptance(
     -------
     xarray.DataTree
         A trace as returned by `fmu.sample` for the problem without a surrogate. A rejection repeats the previous
-        draw, which ESS and R-hat take into account. The group ``identifiability`` is copied from the trace of the
-        surrogate. In addition to the attributes of the surrogate (`fmu.analysis.certificate.certify`) there are:
+        draw, which ESS and R-hat take into account. The group ``identifiability`` is copied from the surrogate's
+        trace. In addition to the attributes of the surrogate (`fmu.analysis.certificate.certify`) there are:
         ``second_stage_proposals``, the number of solved proposals; ``second_stage_accepted`` and
         ``second_stage_failed``, the numbers of accepted and of failed proposals; ``second_stage_solves``, the
         number of distinct solves; and ``limit``, a phrase with the number of solves or draws that were available,
@@ -125,12 +125,12 @@ def delayed_acceptance(
 
 
 def proposals(until_ess: float | None, chains: int) -> int:
-    """Return the number of proposals, over all chains, that are solved before convergence is checked."""
+    """Return the number of proposals, over all chains, to solve before convergence is first checked."""
     return chains * int(np.ceil(_MARGIN * max(until_ess or 0.0, required_ess(chains)) / chains))
 
 
 def _with_model(found: xr.DataTree, stage: SecondStage) -> xr.DataTree:
-    """Return a trace with the groups that `fmu.sample` adds, provided that they take at most a few solves."""
+    """Add the groups that `fmu.sample` adds to a trace, if they take at most a few solves."""
     trace, truth = stage.trace, stage.truth
     known = maxima_of(trace)
     maxima = None if known is None else stage.maxima(known)

@@ -1,4 +1,4 @@
-"""Limits on the errors of posterior moments, from a surrogate's errors in log-probability at a few draws."""
+"""Limits on the errors of posterior moments, from a surrogate's log-probability errors at a few draws."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fmu.types import FloatArray
 
 LEVEL = 0.95
 HEAVY = 6.0
-"""Assumed kurtosis of errors that are Gaussian but whose standard deviation varies from draw to draw."""
+"""Assumed kurtosis of errors that are Gaussian with a standard deviation that varies from draw to draw."""
 
 _LARGE = 1.0
 _MARGIN = 1.3
 
 
 class ErrorLimits(NamedTuple):
-    """Statistics of the errors e = log p − log p̂ at n draws from p̂, and limits on the errors of the posterior.
+    """Statistics of a surrogate's errors e = log p − log p̂ at n draws from p̂, and resulting error limits.
 
     Attributes
     ----------
@@ -67,13 +67,14 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
 
     The ratio of the true posterior to the surrogate's is w = exp(e)/E[exp(e)]. With z = (θ − mean)/sd for each
     parameter, the mean changes by Cov(z, w) posterior standard deviations, and the standard deviation, to first
-    order, by the relative amount ½ Cov(z², w). The changes of the means are estimated from the draws, with limits
-    from Student's t distribution with Bonferroni's correction. The changes of the standard deviations depend on a
-    few outlying draws; they are therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit
-    of sd(w) uses the chi-square distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2,
-    110–114), ν = 2n/(κ − (n − 3)/(n − 1)), where κ is the larger of the kurtosis of the sample and `HEAVY`. If
-    this limit is too large for the means to be estimated from a few draws, it is used for them as well, because
-    |Cov(z, w)| ≤ sd(w).
+    order, by the relative amount ½ Cov(z², w).
+
+    The changes of the means are estimated from the draws, with limits from Student's t distribution with
+    Bonferroni's correction. The changes of the standard deviations depend on a few outlying draws; they are
+    therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w) uses the chi-square
+    distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114), ν = 2n/(κ − (n −
+    3)/(n − 1)), where κ is the larger of the sample kurtosis and `HEAVY`. If this limit is too large for the means
+    to be estimated from a few draws, it is used for them as well, because |Cov(z, w)| ≤ sd(w).
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
 
 
 def largest_sd_shift(posterior: FloatArray) -> float:
-    """Return the largest ½ sd(z²) of any parameter, from draws (N, ndim).
+    """Return the largest ½ sd(z²) of any parameter, from draws (N, ndim) with z = (θ − mean)/sd.
 
     Multiplied by sd(w), it bounds the relative change of any posterior standard deviation; see `upper_shift`.
     """
@@ -114,8 +115,8 @@ def largest_sd_shift(posterior: FloatArray) -> float:
 def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int, most: int) -> int:
     """Return the smallest number of draws for which `upper_shift` is likely to be within `tolerance`.
 
-    The number is between `fewest` and `most`; 0 if even `most` draws are not enough. `sd` is the expected standard
-    deviation of the errors. As a margin, the standard deviation of the sample is assumed to be larger by the
+    The number is between `fewest` and `most`, or 0 if even `most` draws are not enough. `sd` is the expected
+    standard deviation of the errors. As a margin, the sample standard deviation is assumed to be larger by the
     factor `_MARGIN`, and the changes of the means to be `_MARGIN` standard errors.
     """
     of_sds = largest_sd_shift(posterior)
@@ -142,6 +143,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the ratio of the upper limit on a standard deviation to the sample's, for n values."""
+    """Return the upper limit on a standard deviation divided by the sample value, for n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

@@ -1,4 +1,4 @@
-"""`fmu.surrogate`, which replaces the slow model of a problem by Gaussian processes, with a certificate."""
+"""`fmu.surrogate`, which replaces a problem's slow model by Gaussian processes, with a certificate."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MAY_BE_SWAPPED = 0.6
 
 
 class SurrogateWarning(UserWarning):
-    """Warning that a surrogate has not reached its tolerance."""
+    """Warns that a surrogate has not reached its tolerance."""
 
 
 @check_arguments
@@ -171,7 +171,7 @@ class _Learner:
         return self.most - self.solves
 
     def begin(self, under_way: Phase) -> None:
-        """Solve at the starting point and at points that fill the box, and fit the first surrogate."""
+        """Solve at the starting point and at points that fill the bounds, and fit the first surrogate."""
         from scipy.stats import qmc
 
         design: Design | None = None
@@ -223,7 +223,7 @@ class _Learner:
     def find_undecided(self, draws: FloatArray) -> IntArray:
         """Return the indices of the draws (n, ndim) at which it is uncertain whether a solve would fail.
 
-        Such draws lie between points that were solved and points that failed.
+        These draws lie between points that were solved and points that failed.
         """
         margin = self.model.feasibility.margin(self.coordinates.to_x(draws[:, : self.n]))
         return np.flatnonzero(np.abs(margin) < EDGE)
@@ -251,7 +251,7 @@ class _Learner:
         self._fit(self.model)
 
     def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
-        """Return the certificate of the surrogate, with the limits on its errors."""
+        """Return the surrogate's certificate, with the limits on its errors."""
         failed = self.design.failed
         estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
@@ -272,7 +272,7 @@ class _Learner:
         )
 
     def _doubts(self) -> str:
-        """Return sentences, one per line, on modes that may be swapped near the posterior; "" if there is none."""
+        """Return sentences, one per line, on modes that may be swapped near the posterior; empty if none are."""
         shapes = self.given.data.shapes
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:
             return ""
@@ -310,7 +310,7 @@ def certificate_of(problem: UpdatingProblem) -> SurrogateCertificate:
 
 
 def can_learn(problem: UpdatingProblem) -> str:
-    """Return the reason why a surrogate cannot be built for a problem; an empty string if it can."""
+    """Return the reason why a surrogate cannot be built for a problem, or an empty string if it can."""
     if problem.model.is_uncertain:
         return "the model is a surrogate already"
     if any(map(structure_of, problem.model.parts)):
@@ -326,7 +326,7 @@ def expected_solves(problem: UpdatingProblem) -> int:
 
 
 def most_solves(problem: UpdatingProblem) -> int:
-    """Return the default of `max_solves` in `surrogate` for a problem."""
+    """Return the default `max_solves` of `surrogate` for a problem."""
     return solves_of_a_surrogate(problem.n_structural)
 
 

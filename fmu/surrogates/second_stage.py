@@ -1,4 +1,4 @@
-"""The second stage of delayed acceptance, in which the model accepts or rejects the proposals of a surrogate."""
+"""The second stage of delayed acceptance, in which the model accepts or rejects a surrogate's proposals."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
 
 
 class SecondStage:
-    """The proposals of all chains, (chains, n, ndim), and log-probabilities of the model at those solved so far.
+    """Proposals of all chains, (chains, n, ndim), and the model's log-probabilities at those solved so far.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class SecondStage:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Values of log p − log p̂, (chains, n), at the first n proposals of each chain: those solved so far."""
+        """Values of log p − log p̂ at the proposals solved so far, which are each chain's first n; (chains, n)."""
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:
@@ -157,10 +157,10 @@ class SecondStage:
         )
 
     def maxima(self, known: Maxima) -> Maxima | None:
-        """Return the maxima of the surrogate's posterior, corrected with the model; None if none of them is left.
+        """Correct the maxima of the surrogate's posterior with the model; return None if none of them is left.
 
-        The mass of a maximum is multiplied by the mean weight of the proposals near it, which gives its mass in
-        the model's posterior. A maximum moves to the proposal near it with the largest log-probability, if that
+        A maximum's mass is multiplied by the mean weight of the proposals near it, which gives its mass in the
+        model's posterior. A maximum moves to the proposal near it with the largest log-probability, if that
         exceeds its own. A maximum without a successful solve near it is removed.
         """
         ids = self._which[:, : self._n].ravel()
@@ -183,7 +183,7 @@ class SecondStage:
         return replace(known, maxima=tuple(sorted(found, key=lambda one: -one.log_prob))) if found else None
 
     def record(self) -> Mapping[str, int]:
-        """Return the trace attributes that count proposals and solves, as a dict."""
+        """Return the trace attributes that count proposals and solves."""
         return {
             "second_stage_proposals": self._which[:, : self._n].size,
             "second_stage_accepted": int(np.sum(self._accept_draws(*self._paths()))),
