@@ -137,8 +137,8 @@ class Training:
             self.confirmed = False
         self.confirmed &= self.is_accurate
         points = np.concatenate([box_points(self.lower, self.upper, _SOBOL, _CHECKS + _ROUNDS), near_zero])
-        self.far = self._current().bound(self.full).find_far(points, self.n_trained, self.tolerance)
-        return self._current()
+        self.far = self.current().bound(self.full).find_far(points, self.n_trained, self.tolerance)
+        return self.current()
 
     def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
         """Continue training at points theta (n, n_parameters), where errors must decrease by the factor `times`.
@@ -159,7 +159,7 @@ class Training:
                     if not len(left) or self.is_spent:
                         break
             self._cut()
-        return self._current()
+        return self.current()
 
     def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
         """Continue training to a smaller `tolerance` in a region of the box, yielding the model before each round.
@@ -170,14 +170,14 @@ class Training:
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
-            yield self._current()
+            yield self.current()
             theta = region()
             good = [self._look(b, theta, self.share) for b in self.learners]
             self._cut()
             if not self.is_accurate:
                 break
             if np.all(good):
-                yield self._current()
+                yield self.current()
                 return
         self.confirmed = False
 
@@ -195,7 +195,14 @@ class Training:
                 self.costs[b], self.n_trained[b] = cost, count
                 V = snapshot_basis(block, anchors, theta, count, self._affordable(b), self.tolerance)
                 self.reduced[b] = ReducedBlock(block, mass_orthonormal(block, V, centre), count)
-        return self._current()
+        return self.current()
+
+    def current(self) -> Trained:
+        """Return the outcome of training so far."""
+        blocks = tuple(self.reduced.get(b, full) for b, full in enumerate(self.full))
+        anchors = {b: learner.anchors for b, learner in self.learners.items()}
+        found = self.confirmed, anchors, self.tolerance if self.is_narrow else None, self.shared
+        return Trained(blocks, self.fixed or self.rule, self.lower, self.upper, *found)
 
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays from which `restore` rebuilds the trained model, by name.
@@ -234,13 +241,7 @@ class Training:
                 training.reduced[b] = ReducedBlock(full[b], state[f"basis{b}"], n_trained)
             if f"energy{b}" in state:
                 training.shared[b] = SharedResiduals(full[b], state[f"energy{b}"], state[f"mass{b}"])
-        return training._current()
-
-    def _current(self) -> Trained:
-        blocks = tuple(self.reduced.get(b, full) for b, full in enumerate(self.full))
-        anchors = {b: learner.anchors for b, learner in self.learners.items()}
-        found = self.confirmed, anchors, self.tolerance if self.is_narrow else None, self.shared
-        return Trained(blocks, self.fixed or self.rule, self.lower, self.upper, *found)
+        return training.current()
 
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until errors at `enough` consecutive points are small. Return True on success."""
@@ -364,7 +365,7 @@ class Training:
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
         # if full solves are expensive, they start from the modes of the basis
-        full = confirm_blocks(self._current().bound(self.full))
+        full = confirm_blocks(self.current().bound(self.full))
         exact: dict[int, tuple[FloatArray, FloatArray]] = {}
         with phase("training", len(counts)) as under_way:
             for b, count in counts.items():
