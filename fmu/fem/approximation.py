@@ -1,4 +1,4 @@
-"""Cheap models of known error that replace a slow model."""
+"""Cheap models with known errors that replace slow models."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class Approximation(ModalModel):
 
     There are two kinds. Gaussian processes (`fmu.fem.surrogate.surrogate_model.SurrogateModel`) predict
     everywhere; the reduced basis of a structure (`fmu.fem.reduced.reduced_structure.ReducedStructure`) is valid in
-    a box of parameters. Only the number of solves of the true model changes during use.
+    a parameter box. Only the number of solves of the true model changes during use.
 
     Parameters
     ----------
     truth : ModalModel
     cheap : ModalModel
-        A model of the same parameters and modes.
+        A model with the same parameters and modes.
     certificate : Certificate, optional
         Errors of the cheap model where the posterior has its mass, if they are known before a run
         (`fmu.fem.certificates.SurrogateCertificate`).
@@ -50,7 +50,7 @@ class Approximation(ModalModel):
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """First failures of the true model, each with its point and its reason."""
+        """First failures of the true model, each with its theta and reason."""
         return self._truth.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -58,13 +58,13 @@ class Approximation(ModalModel):
         return self.cheap.frequencies(theta)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
+        """Return frequencies in Hz, shape (n, n_modes), and exact gradients, shape (n, n_modes, n_parameters)."""
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
+        """Predict frequencies and sensor shapes, with variances if the cheap model is uncertain."""
         return self.cheap.observed(theta, gradient)
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict that identifies the true model and the cheap model, in plain Python types."""
+        """Return data that identify the true model and the cheap model, as plain Python types."""
         return {"surrogate of": self._truth.configuration(), **self.cheap.configuration()}

@@ -1,4 +1,4 @@
-"""Models given by a user's Python function, such as a surrogate or a call of a finite-element program.
+"""Models given by a user's Python function, such as a surrogate or a call to a finite-element program.
 
 The contract
 ------------
@@ -45,7 +45,7 @@ from fmu.types import Dof, FloatArray
 
 
 def solves_of_a_surrogate(n_parameters: int) -> int:
-    """Return the default limit on the solves of a surrogate, which also limits a search with a slow function."""
+    """Return the default limit on a surrogate's solves, which also limits a search with a slow function."""
     return 100 + 50 * n_parameters
 
 
@@ -67,7 +67,7 @@ class BlackBoxModel:
     step : float
         Step of the central differences, relative to the scale of each parameter (its range, if it has one).
     name : str, optional
-        Name used where a problem is described.
+        Name used in descriptions of a problem.
     store : path-like, optional
         Folder for results. Results that took `SLOW_S` or longer (per point, if the function is batched) are stored
         there and reused, in this run and in others. They are stored under a hash of the function's source file and
@@ -80,7 +80,7 @@ class BlackBoxModel:
     solved : Solves
         Solves made in this process. The function is normally not called twice at the same theta.
     solves : SolveStore or None
-        Stored solves of this run and of others; None without a store.
+        Stored solves from this run and others; None without a store.
     reasons : list of Failure
         The first twenty failures of the function.
 
@@ -126,21 +126,21 @@ class BlackBoxModel:
         return True
 
     def at_sensors(self, sensors: Sequence[Dof]) -> BlackBoxModel:
-        """Return the model itself: its function already gives shapes at these sensors."""
+        """Return the model itself, because its function already gives shapes at these sensors."""
         return self
 
     @property
     def solves(self) -> SolveStore | None:
-        """Stored solves of this run and of others; None if there is no store."""
+        """Stored solves from this run and others, or None if there is no store."""
         return self.solved.store
 
     @property
     def reasons(self) -> list[Failure]:
-        """First failures of the function, each with its point and its reason."""
+        """First failures of the function, each with its theta and reason."""
         return self.solved.reasons
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return the duration of a call at theta (n_parameters,) in seconds; see `Solves.seconds_at`."""
+        """Return how long a call at theta (n_parameters,) takes, in seconds; see `Solves.seconds_at`."""
         return self.solved.seconds_at(theta)
 
     def solve(self, theta: FloatArray) -> Solve:
@@ -148,12 +148,12 @@ class BlackBoxModel:
         return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
-        """Return the list of results at theta (n, n_parameters), None where the function fails; see `reasons`."""
+        """Return the function's results at theta (n, n_parameters), None where it fails; see `reasons`."""
         return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[BlackBoxModel]:
-        """Call the function at several theta in parallel, in an engine's workers, inside a ``with`` block.
+        """In a ``with`` block, let an engine's workers call the function at several theta in parallel.
 
         Results and failures are the same as in the calling process, in the same order. A theta that crashes its
         process three times counts as failed for that reason. A batched function gets all theta in one call and is
@@ -162,7 +162,8 @@ class BlackBoxModel:
         Parameters
         ----------
         engine : Engine
-            See `fmu.engine`. A function of a module is sent to the workers by name, any other function by value.
+            See `fmu.engine`. A function defined in a module is sent to the workers by name, any other function by
+            value.
 
         Examples
         --------
@@ -172,7 +173,7 @@ class BlackBoxModel:
             yield self
 
     def at(self, theta: FloatArray) -> Answer:
-        """Return the function's result at one theta, shape (n_parameters,), at which a problem starts.
+        """Return the function's result at theta (n_parameters,), the starting point of a problem.
 
         See `Solves.at_start` for the errors raised and the warnings given.
         """
@@ -184,16 +185,16 @@ class BlackBoxModel:
         return None if solve is None else solve.reason or None
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict that identifies the model by its function's name, options and source hash."""
+        """Return data that identify the model: its function's name, options and source hash."""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": self.sha256}
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the user's source code; see `source_digest`; a copy in another process has the same hash."""
+        """Hash of the user's source code, the same in every process; see `source_digest`."""
         return source_digest(self.function)
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
-        """Return a copy of the model with shapes at these sensors and with no solves made."""
+        """Return a copy of the model with shapes at other sensors, and without any solves."""
         changed = copy(self)
         changed.sensors = sensors
         changed.function = changed._describe_run()
@@ -205,11 +206,11 @@ class BlackBoxModel:
         return self.function
 
     def _begin_solves(self) -> Solves:
-        """Return the `Solves` of the function, with no solve made."""
+        """Return a `Solves` object for the function, without any solves yet."""
         return Solves(self.function, self.n_parameters, batched=self.batched, store=self._store())
 
     def _store(self) -> SolveStore | None:
-        """Return the store of solves, named by all that the solves depend on; None without a folder."""
+        """Return the store for solves, named after everything that they depend on, or None without a folder."""
         if self._folder is None:
             return None
         key = self.configuration() | {"step": None, "batched": None, "sensors": self.sensors}

@@ -1,4 +1,4 @@
-"""Certificates: records of the known errors of a cheap model that replaces a slow model."""
+"""Certificates: records of how large a cheap model's errors are, compared with their tolerances."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _SCATTER = 1e-5
 
 @dataclass(frozen=True)
 class Certificate(ABC):
-    """Errors of a cheap model at posterior draws, and the largest errors that are allowed.
+    """A cheap model's errors at posterior draws, and the largest errors allowed.
 
     Attributes
     ----------
     draws : int
         Number of posterior draws that were solved with the true model.
     frequency_error : float
-        Largest relative error of a frequency at these draws.
+        Largest relative frequency error at these draws.
     """
 
     draws: int
@@ -35,7 +35,7 @@ class Certificate(ABC):
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
-        """Return the certificate in the attributes of a trace; None if the trace has no such certificate."""
+        """Return the certificate stored in a trace's attributes, or None if there is none of this kind."""
         found: dict[str, Any] = {}
         for field in fields(cls):
             key = cls._key(field.name)
@@ -46,7 +46,7 @@ class Certificate(ABC):
         return cls(**found)
 
     def attributes(self) -> dict[str, object]:
-        """Return a dict of trace attributes that stores the certificate."""
+        """Return trace attributes that store the certificate."""
         return {self._key(name): value for name, value in asdict(self).items() if value is not None}
 
     @classmethod
@@ -60,18 +60,18 @@ class Certificate(ABC):
 
     @abstractmethod
     def sentences(self) -> list[str]:
-        """Return the list of sentences that describe the errors and the largest errors allowed."""
+        """Return sentences that describe the errors and the largest errors allowed."""
 
 
 @dataclass(frozen=True)
 class ReductionCertificate(Certificate):
-    """Errors of a reduced basis at the draws of a run: bounds, and exact errors at some of the draws.
+    """Errors of a reduced basis at a run's draws: bounds, and exact errors at some of the draws.
 
     Attributes
     ----------
     log_prob_error : float
-        Largest error of the log-probability at the solved draws whose likelihood is within the tolerance's depth
-        of the highest. At lower likelihoods, where a chain may have started, the error is not bounded.
+        Largest log-probability error at the solved draws whose likelihood is within the tolerance's depth of the
+        highest. At lower likelihoods, where a chain may have started, the error is not bounded.
     pairing_changes : int
         Number of draws at which the true model pairs a measured mode with a different computed mode.
     full_solves : int
@@ -82,14 +82,14 @@ class ReductionCertificate(Certificate):
     bound_draws : int
         Number of draws at which the frequency errors were bounded by their residuals.
     bound, bound_median : float
-        Largest bound of the relative error of a frequency at these draws, and the median over the draws of each
-        draw's largest bound.
+        Largest bound on a relative frequency error at these draws, and the median over the draws of each draw's
+        largest bound.
     bound_exceeded : int
         Number of solved draws at which an error exceeds its bound.
     full_share : float or None
         Share of the draws that lie outside the trained box, where the true model is solved.
     frequency_elsewhere : float or None
-        Tolerance of the frequencies where the posterior has no mass, if it differs from `frequency_tolerance`.
+        Frequency tolerance where the posterior has no mass, if it differs from `frequency_tolerance`.
     """
 
     log_prob_error: float
@@ -113,7 +113,7 @@ class ReductionCertificate(Certificate):
         return is_small and not self.pairing_changes and not self.bound_exceeded
 
     def sentences(self) -> list[str]:
-        """Return the sentence on how far the errors exceed their tolerances, as a list; [] if they do not."""
+        """Return a list with a sentence on how far the errors exceed their tolerances, or [] if they do not."""
         if self.ok:
             return []
         pairs = (
@@ -133,12 +133,12 @@ class ReductionCertificate(Certificate):
 
 @dataclass(frozen=True)
 class SurrogateCertificate(Certificate):
-    """Errors of a surrogate (`fmu.surrogate`) at posterior draws that were solved to check the surrogate.
+    """Errors of a surrogate (`fmu.surrogate`) at posterior draws that were solved to check it.
 
     Attributes
     ----------
     solves, design : int
-        Number of all solves of the model, and of the solves from which the surrogate was built.
+        Total number of model solves, and number of solves from which the surrogate was built.
     failed : int
         Number of solves that failed.
     failed_where : str
@@ -148,15 +148,15 @@ class SurrogateCertificate(Certificate):
     scatter : float
         Estimated relative scatter of the solver's frequencies.
     log_prob_error : float
-        Largest deviation of the error of the log-probability from its mean; with 95 % confidence, `share` of the
+        Largest deviation of the log-probability error from its mean; with 95 % confidence, `share` of the
         posterior has no larger deviation.
     share : float
         Share of the posterior for which `log_prob_error` holds.
     log_prob_sd : float
-        Standard deviation of the error of the log-probability.
+        Standard deviation of the log-probability error.
     shift, shift_tolerance : float
-        Bound, with 95 % confidence, of the error of every posterior mean in posterior standard deviations and of
-        the relative error of every posterior standard deviation; and the largest value allowed.
+        Largest error, with 95 % confidence, in any posterior mean (in posterior standard deviations) or posterior
+        standard deviation (relative); and the largest value allowed.
     """
 
     solves: int
@@ -177,11 +177,11 @@ class SurrogateCertificate(Certificate):
 
     @property
     def ok(self) -> bool:
-        """Whether the errors of posterior means and standard deviations are within the tolerance."""
+        """Whether the errors in posterior means and standard deviations are within the tolerance."""
         return bool(self.shift <= self.shift_tolerance)
 
     def sentences(self) -> list[str]:
-        """Return the list of sentences on how the surrogate was built, its errors and where it is unreliable."""
+        """Return sentences on how the surrogate was built, its errors and where it is unreliable."""
         # to a common decimal place if the values are of similar size
         near = self.shift <= 10.0 * self.shift_tolerance
         found, limit = (
@@ -219,7 +219,7 @@ class SurrogateCertificate(Certificate):
         return said + self.doubts.splitlines()
 
     def reason_against(self) -> list[str]:
-        """Return the reason why the surrogate's draws do not count, as a list; [] if it is within tolerance."""
+        """Return a list with the reason why the surrogate's draws do not count, or [] if they do."""
         if self.ok:
             return []
         is_known = np.isfinite(self.shift)

@@ -43,24 +43,25 @@ class Reduction:
     retained: IntArray
 
     def eigen(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest eigenvalues (count,) in (rad/s)² and shapes (n_dof, count) of the whole structure."""
+        """Return the lowest eigenvalues (count,) in (rad/s)², and the whole structure's shapes (n_dof, count)."""
         lam, q = eigen(sp.csr_array(self.K), sp.csr_array(self.M), count)
         return lam, self.basis @ q
 
 
 @check_arguments
 def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
-    """Return the static condensation (Guyan 1965) onto the masters; the slaves are in static equilibrium.
+    """Condense K and M statically onto master degrees of freedom (Guyan 1965).
 
-    The basis is T = [I; −K_ss⁻¹ K_sm]. The reduction is exact at zero frequency. Its error grows with ω² divided
-    by the lowest eigenvalue of the structure with its masters held.
+    The slaves, all other degrees of freedom, are in static equilibrium. The basis is T = [I; −K_ss⁻¹ K_sm]. The
+    reduction is exact at zero frequency. Its error grows with ω² divided by the lowest eigenvalue of the structure
+    with its masters fixed.
 
     Parameters
     ----------
     K, M : array_like or sparse, shape (n_dof, n_dof)
         Symmetric.
     masters : array_like of int
-        Indices of the degrees of freedom to keep, in the order wanted.
+        Indices of the degrees of freedom to retain, in the desired order.
 
     Returns
     -------
@@ -69,7 +70,7 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     Raises
     ------
     ValueError
-        If a master does not exist or is given twice, or the structure can still move with all masters held.
+        If a master does not exist or is given twice, or the structure can still move with all masters fixed.
     """
     K, M = _matrices(K, M)
     masters = _index("masters", masters, K.shape[0])
@@ -78,11 +79,11 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
 
 @check_arguments
 def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[int, Ge(0)]) -> Reduction:
-    """Return the Craig–Bampton reduction (Craig & Bampton 1968).
+    """Reduce K and M by the Craig–Bampton method (Craig & Bampton 1968).
 
     The boundary separates the interior (all other degrees of freedom) into substructures. The basis consists of
     the constraint mode of every boundary degree of freedom and, for every substructure, the lowest `n_modes`
-    modes of finite frequency with the boundary held.
+    modes of finite frequency with the boundary fixed.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     boundary : array_like of int
         Indices of the boundary degrees of freedom.
     n_modes : int
-        Fixed-interface modes to keep for each substructure (all if it has fewer); 0 gives `guyan`.
+        Number of fixed-interface modes for each substructure (all if it has fewer); 0 gives `guyan`.
 
     Returns
     -------
@@ -122,7 +123,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
 
 
 def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, ...]:
-    """Return a tuple with the interior degrees of freedom (indices) of each part cut off by the boundary."""
+    """Return the interior degrees of freedom (indices) in each part that the boundary cuts off."""
     interior = np.setdiff1d(np.arange(K.shape[0]), np.asarray(boundary, dtype=np.int64))
     pattern = sp.csr_array(abs(K) + abs(M))[interior][:, interior]
     count, label = connected_components(pattern, directed=False)
@@ -130,7 +131,7 @@ def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, 
 
 
 def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tuple[bool, ...]:
-    """Return a tuple of bool: whether each substructure's Craig–Bampton modes at `theta` hold at every theta.
+    """Return, for each substructure, whether its Craig–Bampton modes at `theta` are valid at every theta.
 
     The modes are the same if a single coefficient scales the stiffness of the substructure's interior and of its
     connection to the boundary, and no parameter changes the mass of the interior.
@@ -155,11 +156,11 @@ _PIVOT = 1e-13
 
 
 class SingularCondensationError(ValueError):
-    """Error raised if the structure can still move when the masters are held."""
+    """Raised when the structure can still move with its masters fixed."""
 
 
 class StaticCondensation:
-    """Static response u = T x of the whole structure to displacements x of the masters; T = [I; −K_ss⁻¹ K_sm].
+    """Static response u = T x of the whole structure to master displacements x; T = [I; −K_ss⁻¹ K_sm].
 
     Parameters
     ----------
@@ -193,20 +194,20 @@ class StaticCondensation:
                 raise SingularCondensationError(_MOVES)
 
     def extend(self, x: FloatArray) -> FloatArray:
-        """Return T x, shape (n_dof, m), for displacements x of the masters, shape (n_masters, m)."""
+        """Return T x, shape (n_dof, m), for master displacements x, shape (n_masters, m)."""
         u = np.zeros((self.n_dof, x.shape[1]))
         u[self.masters] = x
         u[self.slaves] = self._inner(-(self._coupling @ x))
         return u
 
     def solve_held(self, load: FloatArray) -> FloatArray:
-        """Return the displacements (n_dof, m) under loads (n_dof, m), with the masters held."""
+        """Return the displacements (n_dof, m) under loads (n_dof, m), with the masters fixed."""
         u = np.zeros_like(load)
         u[self.slaves] = self._inner(load[self.slaves])
         return u
 
     def transfer(self, load: FloatArray) -> FloatArray:
-        """Return the equivalent loads at the masters, Tᵀ load, shape (n_masters, m)."""
+        """Return the equivalent loads on the masters, Tᵀ load, shape (n_masters, m)."""
         return np.asarray(load[self.masters] - self._coupling.T @ self._inner(load[self.slaves]))
 
     def _inner(self, load: FloatArray) -> FloatArray:
@@ -222,7 +223,7 @@ def _ritz(K: Matrix, M: Matrix, T: FloatArray, retained: IntArray) -> Reduction:
 
 
 def _matrices(K: Matrix, M: Matrix) -> list[sp.csr_array]:
-    """Return both matrices as sparse arrays; ValueError unless both are square and of the same size."""
+    """Return both matrices as sparse arrays. Raise ValueError unless they are square and equal in size."""
     found = []
     for name, matrix in (("K", K), ("M", M)):
         if not sp.issparse(matrix):

@@ -1,4 +1,4 @@
-"""Solutions of A x = b in double precision from factors of A in single precision, which take half the memory.
+"""Double-precision solutions of A x = b from single-precision factors of A, which take half the memory.
 
 Let F be the product of the factors. It differs from A by rounding, so that all but the lowest eigenvalues of
 F⁻¹ A are nearly 1. For a positive definite A, F is the preconditioner of conjugate gradients, in the form that
@@ -24,7 +24,7 @@ from fmu.types import FloatArray
 
 
 class SingleFactor(Protocol):
-    """The factors of a matrix in single precision; see `fmu.fem.modes.solver.Factor`."""
+    """Single-precision factors of a matrix; see `fmu.fem.modes.solver.Factor`."""
 
     negative: int
 
@@ -35,7 +35,7 @@ class SingleFactor(Protocol):
 
     @property
     def n_bytes(self) -> int:
-        """Memory of the factors."""
+        """Bytes of memory for the factors."""
         ...
 
     def solve(self, loads: FloatArray) -> FloatArray:
@@ -58,7 +58,7 @@ _ADDED = (0.0, 3e-8, 3e-7)
 
 
 class StalledError(MemoryError):
-    """The error for factors in single precision that are too inaccurate; those in double precision need memory."""
+    """Raised when single-precision factors are too inaccurate, so that double precision is needed."""
 
     def __init__(self, why: str) -> None:
         super().__init__(
@@ -68,15 +68,16 @@ class StalledError(MemoryError):
 
 
 class RefinedFactor:
-    """The factors of a matrix A in single precision, whose solutions are as accurate as in double precision.
+    """Single-precision factors of a matrix A, with solutions as accurate as in double precision.
 
     Parameters
     ----------
     matrix : sparse array, shape (n, n)
     make : callable
-        Returns the factors in single precision of a matrix that is expected to be positive definite, or not to be;
-        LinAlgError if it is not as expected.
+        ``make(matrix, is_definite)`` returns single-precision factors, or raises LinAlgError if the matrix is not
+        definite as expected.
     is_definite : bool
+        Whether A is expected to be positive definite.
 
     Raises
     ------
@@ -105,11 +106,11 @@ class RefinedFactor:
 
     @property
     def n_bytes(self) -> int:
-        """Memory of the factors and of the matrix."""
+        """Bytes of memory for the factors and the matrix."""
         return self._factor.n_bytes + 12 * self._matrix.nnz
 
     def solve(self, loads: FloatArray) -> FloatArray:
-        """Return A⁻¹ b for b of shape (n,) or (n, m); StalledError if the iterations do not converge."""
+        """Return A⁻¹ b for b of shape (n,) or (n, m). Raise StalledError if the iterations do not converge."""
         by = conjugate_gradients if self._is_definite else refine
         columns = loads.reshape(len(loads), -1)
         strips = (columns[:, first : first + _TOGETHER] for first in range(0, columns.shape[1], _TOGETHER))
@@ -117,7 +118,7 @@ class RefinedFactor:
         return np.concatenate(found, axis=1).reshape(loads.shape) if found else np.zeros_like(loads)
 
     def _definite_factor(self, make: Callable[[sp.csr_array, bool], SingleFactor]) -> SingleFactor | None:
-        """Return factors with which conjugate gradients converge for a random b; None if there are none."""
+        """Return factors for which conjugate gradients converge for a random b, or None if there are none."""
         probe = np.random.default_rng(0).standard_normal((self._matrix.shape[0], 1))
         for share in _ADDED:
             factor = None  # before the next factors take memory
@@ -132,7 +133,7 @@ class RefinedFactor:
 
 
 def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
-    """Return A⁻¹ b (n, m) for b (n, m) and a positive definite A; every column is iterated by itself.
+    """Return A⁻¹ b (n, m) for b (n, m) and a positive definite A, iterating each column by itself.
 
     Raises
     ------
@@ -163,7 +164,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
 
 
 def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
-    """Return A⁻¹ b (n, m) for b (n, m), by iterative refinement of every column until rounding remains.
+    """Return A⁻¹ b (n, m) for b (n, m), by iterative refinement of each column until only rounding remains.
 
     Raises
     ------
@@ -199,7 +200,7 @@ def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
 
 
 def _solve_scaled(solve: Solve, loads: FloatArray) -> FloatArray:
-    """Return F⁻¹ b for columns b that are first scaled to 1, within the range of single precision."""
+    """Return F⁻¹ b for columns b that are first scaled to 1, to stay within the range of single precision."""
     size = np.max(np.abs(loads), axis=0)
     size = np.where(size > 0.0, size, 1.0)
     return solve(loads / size) * size

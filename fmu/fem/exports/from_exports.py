@@ -8,8 +8,8 @@ of a few exports therefore determine the terms K_k of
     K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
 
 by least squares, entry by entry. The powers are those of the smallest set of terms that reproduces every export. A
-length or Poisson's ratio is refused, because the entries are not such sums of its powers. Parameters may multiply
-one another, as do E and t of one plate.
+length or Poisson's ratio is refused, because the entries are not sums of its powers. Parameters may multiply one
+another, as do E and t of one plate.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SAME_MOTION = 1e-6
 def from_exports(
     exports: Sequence[Export], bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> SeparableModel:
-    """Return the structure as a function of the parameters, from matrices exported at several values.
+    """Recover a structure as a function of its parameters, from matrices exported at several values.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def from_exports(
         least one other export that is not a check. An export with ``check=True`` in which all parameters are
         changed shows whether the powers are right.
     bounds : mapping of str to (float, float), optional
-        Bounds of the parameters, for the rounding error; by default half and twice the values of the first export.
+        Parameter bounds, for the rounding error. Defaults to half and twice the values in the first export.
 
     Returns
     -------
     SeparableModel
-        The `notes` of the model state the recovered terms and their accuracy.
+        The model's `notes` state the recovered terms and their accuracy.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def from_exports(
 
 
 def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> list[str]:
-    """Return a sentence if the digits of the exported stiffness limit the lowest frequency at theta, as a list.
+    """Return a sentence in a list if the digits of the exported stiffness limit the lowest frequency at theta.
 
     The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by
     φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative to
@@ -126,7 +126,7 @@ def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> lis
 
 
 def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the names of the parameters and their values in each export, shape (n_exports, n_parameters)."""
+    """Return the parameter names, and their values in each export, shape (n_exports, n_parameters)."""
     if len(exports) < 2:
         raise ArgumentError("exports", "must be at least 2", len(exports))
     names = tuple(exports[0].values)
@@ -174,7 +174,10 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
 
 
 def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:
-    """Return, for each parameter, the list of exports in which only that parameter differs from the first."""
+    """Return, for each parameter, the exports in which it is the only one that differs from the first export.
+
+    Raises ArgumentError if a parameter has no such export.
+    """
     differs = values != values[0]
     found = []
     for j, name in enumerate(names):

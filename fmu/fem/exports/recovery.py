@@ -33,25 +33,25 @@ Powers = tuple[int, ...]
 
 
 class NotSeparableError(ArgumentError):
-    """Error raised if matrices are not sums of products of powers of the parameters."""
+    """Raised when matrices are not sums of products of parameter powers."""
 
 
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Export:
-    """Matrices of another program, and the parameter values for which the program made the matrices.
+    """Matrices exported by another program, and the parameter values for which they were computed.
 
     Attributes
     ----------
     values : mapping of str to float
-        Parameter values, SI units. Values that equal those of the first export may be omitted.
+        Parameter values, SI units. Values that are the same as in the first export may be omitted.
     model : ExportedModel
         See `fmu.read_model`.
     check : bool
-        Whether the export is kept for checking: it is not used for the recovery, but the recovered terms must
+        Whether the export is reserved for checking: it is not used for the recovery, but the recovered terms must
         reproduce it.
     name : str
-        Name for messages, such as the name of the file.
+        Name for messages, such as the file name.
     """
 
     values: Mapping[str, float]
@@ -62,18 +62,18 @@ class Export:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Terms recovered for the stiffness or the mass matrix, with the accuracy of the recovery.
+    """Terms recovered for the stiffness or mass matrix, with the accuracy of the recovery.
 
     Attributes
     ----------
     terms : tuple of Term
     fitted, checked : float or None
-        Largest error of an entry, relative to √(a_ii a_jj), in the exports used and in the exports kept for
+        Largest error of an entry, relative to √(a_ii a_jj), in the exports used and in the exports reserved for
         checking.
     digits : int
         Significant digits of the exported numbers; 17 for binary files.
     rounding : float
-        Bound of the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
+        Bound on the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
         √(a_ii a_jj).
     decided : bool
         Whether several sets of powers reproduced the exports used, so that the check decided between these sets.
@@ -87,7 +87,7 @@ class Recovery:
     decided: bool
 
     def sentences(self, what: str, names: Sequence[str]) -> list[str]:
-        """Return the sentences that describe the recovered matrix `what`, such as ``"stiffness"``."""
+        """Return sentences that describe the recovered matrix `what`, such as ``"stiffness"``."""
         terms = names_in_words([_in_words(term.powers, names) for term in self.terms])
         many = f"The {what} is a sum of {len(self.terms)} terms: {terms}."
         said = [many if len(self.terms) > 1 else f"The {what} has one term: {terms}."]
@@ -111,7 +111,7 @@ class _Points:
     relative : ndarray, shape (n_exports, n_parameters)
         Parameters relative to their values in the first export.
     used : ndarray of bool, shape (n_exports,)
-        Which exports are not kept for checking.
+        False for exports that are reserved for checking.
     noise : float
         Relative rounding error of an entry.
     """
@@ -121,7 +121,7 @@ class _Points:
     noise: float
 
     def fit(self, powers: tuple[Powers, ...]) -> _Fit | None:
-        """Return the least-squares fit of a set of terms; None if the exports used cannot separate the terms."""
+        """Return the least-squares fit of a set of terms, or None if the exports used cannot separate them."""
         X = monomials(self.relative, powers)
         if len(powers) > self.used.sum() or np.linalg.cond(X[self.used]) > _WORST_CONDITION:
             return None
@@ -130,11 +130,12 @@ class _Points:
     def find_fewest(
         self, known: Sequence[Powers], group: Sequence[int], entry: FloatArray
     ) -> tuple[_Fit | None, tuple[Powers, ...] | None]:
-        """Return the fit of the known terms and the fewest more terms of a group that reproduce all exports.
+        """Return the fit of the known terms plus the fewest new terms in a group that reproduces all exports.
 
         Also return the terms of the first fit that reproduces the exports used. Both are determined from a sample
         of the entries (n_exports, n). Entries that these terms miss, such as the entry of a single spring in a
-        solid, are then added to the sample. Both are None if there are no such terms.
+        solid, are then added to the sample. The fit is None if no terms reproduce all exports, and the terms are
+        None if none reproduce the exports used.
         """
         some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
         while True:
@@ -160,7 +161,7 @@ class _Points:
         return None, first
 
     def sets_of_powers(self, known: Sequence[Powers], group: Sequence[int]) -> Iterator[tuple[Powers, ...]]:
-        """Yield the known terms with more terms of a group of parameters: fewest first, then simplest first."""
+        """Yield the known terms plus new terms in a group of parameters: fewest first, then simplest first."""
         choices = []
         for size in range(min(len(group), _FACTORS) + 1):
             for those in combinations(group, size):
@@ -184,11 +185,11 @@ class _Fit:
     of_exports: FloatArray  # (n_exports, n_terms)
 
     def amplification(self, X: FloatArray) -> FloatArray:
-        """Return the ratio (n,) of errors at points with monomials X (n, n_terms) to errors in the exports."""
+        """Return by how much export errors are amplified at points with monomials X (n, n_terms), shape (n,)."""
         return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
 
     def solve(self, entry: FloatArray) -> FloatArray:
-        """Return the coefficients (n_terms, n) of entries (n_exports, n), without coefficients due to rounding.
+        """Return the coefficients (n_terms, n) for entries (n_exports, n), leaving out mere rounding.
 
         A small coefficient is set to zero unless the exports used are then no longer reproduced.
         """
@@ -229,7 +230,7 @@ def recover(
     changed: BoolArray,
     bounds: FloatArray,
 ) -> Recovery:
-    """Return one matrix as a sum of terms; `changed` (n_parameters, n) marks the entries that parameters change.
+    """Recover one matrix as a sum of terms; `changed` (n_parameters, n) marks the entries that parameters change.
 
     Entries changed by the same parameters have the same terms. If one parameter changes an element and another
     parameter changes its neighbour, the entries at the nodes between the two elements have the terms of both,
@@ -285,7 +286,7 @@ def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ..
 
 
 def _complexity(powers: Powers) -> int:
-    """Return the number that orders sets of equally many terms, lowest for the simplest set."""
+    """Return the sort key for sets with equally many terms, lowest for the simplest set."""
     return sum(_RANK[power] for power in powers)
 
 
@@ -299,9 +300,10 @@ def _refusal(
     entries: Entries,
     own: IntArray,
 ) -> ArgumentError:
-    """Return the error that no terms of a group of parameters reproduce the exports, with the worst entries.
+    """Return the error for a group of parameters with which no terms reproduce the exports.
 
-    The entries named are those that are missed by the terms that suit most entries best.
+    It names the entries that are missed most by the terms that suit most entries best. If no set of terms can be
+    fitted, it says which further exports are needed.
     """
     best, least = None, np.inf
     sample = entries.entry[:, own[:: max(len(own) // MOST_SAMPLED, 1)]]
@@ -326,7 +328,7 @@ def _refusal(
 
 
 def _worst(fit: _Fit, exports: Sequence[Export], entries: Entries, own: IntArray) -> str:
-    """Return the phrase that names the worst reproduced entries, and the export in which they are."""
+    """Return a phrase that names the entries with the largest errors, and the export that contains them."""
     error = fit.compute_errors(entries.entry[:, own])
     at = int(np.argmax(error.max(axis=1)))
     worst = np.argsort(error[at])[::-1][:TOLD]
@@ -335,7 +337,7 @@ def _worst(fit: _Fit, exports: Sequence[Export], entries: Entries, own: IntArray
 
 
 def _in_words(powers: Sequence[float], names: Sequence[str]) -> str:
-    """Return a term in words, as ``"E t³"``; a term without parameters is ``"constant"``."""
+    """Return a term in words, such as ``"E t³"``; a term without parameters is ``"constant"``."""
     raised: Mapping[float, str] = {1: "", 2: "²", 3: "³", -1: "⁻¹"}
     factors = [
         f"{name}{raised.get(power, f'^{typed(power)}')}"

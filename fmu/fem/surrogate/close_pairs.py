@@ -27,19 +27,19 @@ _LEAST = 1e-14  # smallest h, which is the d of two frequencies that agree to se
 
 @dataclass(frozen=True)
 class ClosePairs:
-    """The pairs of close modes, and the map between their z = log λ and the smooth quantities s and d.
+    """Pairs of close modes, and the map between their z = log λ and the smooth quantities s and d.
 
     Attributes
     ----------
     first : tuple of int
-        Index of the lower mode of each pair; no mode is in two pairs.
+        Index of the lower mode in each pair; no mode is in two pairs.
     """
 
     first: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, z: FloatArray) -> ClosePairs:
-        """Return the pairs of adjacent modes that come close at some point, for z = log λ of shape (N, n_modes).
+        """Find pairs of adjacent modes that come close at some point, for z = log λ of shape (N, n_modes).
 
         The modes of a pair must be in ascending order at all N points. Of two pairs that share a mode, the closer
         pair is taken.
@@ -54,7 +54,7 @@ class ClosePairs:
         return cls(tuple(sorted(found)))
 
     def learnt(self, z: FloatArray) -> FloatArray:
-        """Return the quantities to be fitted, (N, n_modes): s and d in the columns of a pair, z of other modes."""
+        """Return the quantities to fit, (N, n_modes): s and d in the two columns of a pair, z for other modes."""
         found = z.copy()
         for i in self.first:
             found[:, i] = 0.5 * (z[:, i] + z[:, i + 1])
@@ -62,7 +62,7 @@ class ClosePairs:
         return found
 
     def values(self, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return z and its variance from the fitted quantities y and their variances v, (n, n_modes) each."""
+        """Convert fitted quantities y and their variances v to z and its variance, (n, n_modes) each."""
         z, z_variance = y.copy(), v.copy()
         for i in self.first:
             root, h = _root(y[:, i + 1], v[:, i + 1])
@@ -89,11 +89,11 @@ class ClosePairs:
         return dz, dz_variance
 
     def of_eigenvalues(self, learnt: FloatArray) -> FloatArray:
-        """Return the elements of an array (n_modes,) for the quantities in the unit of z: all except the d."""
+        """Return the elements of an array (n_modes,) for quantities in the unit of z, which are all except d."""
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
-        """Return the weights (n, n_modes) of the variances v, for given weights `by_z` of the variances of z."""
+        """Convert weights `by_z` for the variances of z to weights for the variances v, both (n, n_modes)."""
         found = by_z.copy()
         for i in self.first:
             both = by_z[:, i] + by_z[:, i + 1]
@@ -102,7 +102,7 @@ class ClosePairs:
 
 
 def _root(d: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the expectation of √d, and h, for expectation d and variance v; all arrays have the same shape."""
+    """Return the expectation of √d, and h, for d with expectation `d` and variance `v`, all of one shape."""
     h = np.sqrt(d**2 + v + _LEAST**2)
     # the second form is for negative d, without cancellation
     square = 0.5 * np.where(d >= 0.0, d + h, (v + _LEAST**2) / (h - np.minimum(d, 0.0)))

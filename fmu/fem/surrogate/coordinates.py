@@ -15,7 +15,7 @@ logarithm of zero is infinite, and an extrapolation so far out is meaningless.""
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """The map from theta to scaled coordinates x of a box, parameter by parameter.
+    """Map between theta in a box and scaled coordinates x, parameter by parameter.
 
     The map is x = (g(θ) − centre)/half, where g(θ) is log θ or θ. An eigenvalue is the ratio of a linear form in
     the stiffnesses to a linear form in the masses (Rayleigh's quotient), so that its logarithm is nearly linear in
@@ -35,15 +35,15 @@ class Coordinates:
 
     @classmethod
     def of_box(cls, lower: FloatArray, upper: FloatArray, positive: BoolArray) -> Coordinates:
-        """Return the coordinates of a box, logarithmic in `positive` parameters with a lower bound above zero."""
+        """Return the coordinates for a box, logarithmic in `positive` parameters with a lower bound above zero."""
         return cls(lower, upper, positive & (lower > 0.0))
 
     def to_x(self, theta: FloatArray) -> FloatArray:
-        """Return x for theta, both of shape (n, n_parameters); |x| is limited to `FARTHEST`."""
+        """Convert theta to x, both of shape (n, n_parameters); |x| is limited to `FARTHEST`."""
         return np.clip(self._map_without_limit(theta), -FARTHEST, FARTHEST)
 
     def to_theta(self, x: FloatArray) -> FloatArray:
-        """Return theta for x, both of shape (n, n_parameters); −1 and 1 give the bounds of the box exactly."""
+        """Convert x to theta, both of shape (n, n_parameters); −1 and 1 give the bounds of the box exactly."""
         low, high = self._g(self.lower), self._g(self.upper)
         g = 0.5 * (high + low) + 0.5 * x * (high - low)
         theta = np.where(self.is_log, np.exp(np.where(self.is_log, g, 0.0)), g)

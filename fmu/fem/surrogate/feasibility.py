@@ -23,7 +23,7 @@ EDGE = 0.9
 
 
 class Feasibility:
-    """A classifier of points that can be solved: a support-vector machine; without failures, True for all points.
+    """Support-vector classifier for points that can be solved; always True if no solve failed.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Feasibility:
         self._gamma, self._offset = 1.0 / x.shape[1], float(machine.intercept_[0])
 
     def __call__(self, x: FloatArray) -> BoolArray:
-        """Return a bool array (n,): False for the points x (n, d) with a margin of −`EDGE` or less.
+        """Return a mask (n,) that is False for points x (n, d) with a margin of −`EDGE` or less.
 
         Undecided points count as feasible: a wrong classification is discovered when the point is solved, whereas
         a point that was wrongly classified as infeasible would never be solved.
@@ -52,7 +52,7 @@ class Feasibility:
         return self.margin(x) > -EDGE
 
     def margin(self, x: FloatArray) -> FloatArray:
-        """Return the margin (n,) of points x (n, d), which is infinite if no solve has failed.
+        """Return the classification margin (n,) of points x (n, d), which is infinite if no solve has failed.
 
         It is 1 at the solved points nearest to the boundary, and −1 at the nearest failures.
         """
@@ -65,7 +65,7 @@ class Feasibility:
 
 
 def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) -> str:
-    """Return a phrase that describes where a model failed, by bounds that few solved points satisfy.
+    """Return a phrase that says where a model failed, by bounds that few solved points satisfy.
 
     The regions are leaves of a decision tree of depth three: those with at least a fifth as many failures as the
     leaf with the most failures.
@@ -101,7 +101,7 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
 def _bounds_of(
     tree: DecisionTreeClassifier, inside: BoolArray, theta: FloatArray, scale: FloatArray, names: Sequence[str]
 ) -> str:
-    """Return a phrase with the bounds of the leaf that contains the points `inside` (N,)."""
+    """Return a phrase with the bounds of the tree leaf that contains the points `inside` (N,)."""
     path = np.flatnonzero(tree.decision_path(theta[inside][:1] / scale).toarray()[0])
     lowest: dict[int, float] = {}
     highest: dict[int, float] = {}

@@ -38,26 +38,26 @@ _BOUNDS = {"trend": (1e-4, 1e3), "smooth": (1e-6, 1e3), "length": (0.1, 1e3), "s
 
 
 class Process:
-    """A Gaussian process of q quantities with a common covariance function, conditioned on values at N points.
+    """Gaussian process for q quantities with a common covariance function, conditioned on values at N points.
 
     Parameters
     ----------
     x : ndarray, shape (N, d)
         The points, in scaled coordinates.
     y : ndarray, shape (N, q)
-        The values of the quantities at the points.
+        Values of the quantities at the points.
     before : Process, optional
-        A process at whose hyper-parameters the search for new ones begins.
+        A process whose hyper-parameters are the starting point of the search for new ones.
     search : bool
-        Whether hyper-parameters are searched for; otherwise the values of `before` are kept.
+        Whether hyper-parameters are searched for; otherwise the values of `before` are used.
 
     Attributes
     ----------
     log_likelihood : float
         Log marginal likelihood of the scaled quantities; `n_hyper` is the number of hyper-parameters.
     caution : float
-        Factor of the variances, at least 1: the mean square of the standardised leave-one-out errors (Rasmussen &
-        Williams, eq. 5.12).
+        Factor applied to the variances, at least 1: the mean square of the standardised leave-one-out errors
+        (Rasmussen & Williams, eq. 5.12).
     left_out_error : float
         Root mean square of the leave-one-out errors, in units of y.
     unit : ndarray, shape (q,)
@@ -102,7 +102,7 @@ class Process:
         return self._expect(k)
 
     def limit(self, x: FloatArray) -> None:
-        """Limit the variances of `predict` to the largest one at points x (n, d), which are posterior draws.
+        """Limit the variances from `predict` to the largest one at points x (n, d), which are posterior draws.
 
         If the data contradict the model, a likelihood with the surrogate's variance would otherwise prefer theta
         far from all solves to the theta of the best fit.
@@ -111,13 +111,16 @@ class Process:
         self.most = float(np.max(self._remaining_variance(x, _product(k, self._root.T))))
 
     def predict(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return the expected y at x (n, d) and its variance without the solver's scatter, (n, q) each."""
+        """Return the expected y at x (n, d) and its variance without the solver's scatter, (n, q) each.
+
+        Variances are capped (see `limit`) if `limited`.
+        """
         k, _ = self._covariances(x)
         left = self._remaining_variance(x, _product(k, self._root.T))
         return self._expect(k), self._variance(np.minimum(left, self.most) if limited else left)
 
     def predict_with_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the two arrays of `predict`, and their derivatives with respect to x, (n, q, d) each."""
+        """Return the two arrays from `predict`, and their derivatives with respect to x, (n, q, d) each."""
         k, smooth = self._covariances(x)
         u = _product(k, self._root.T)
         w = _product(u, self._root)
@@ -140,7 +143,7 @@ class Process:
     def covariance(self, x: FloatArray) -> tuple[FloatArray, float]:
         """Return the posterior covariance of the scaled y between points x (n, d), shape (n, n), and s².
 
-        Both are multiplied by `caution`; times the square of `unit` they are in units of y².
+        Both include the factor `caution`. Multiplied by the square of `unit`, they are in units of y².
         """
         k, _ = self._covariances(x)
         prior = self._trend * (1.0 + x @ x.T) + self._smooth * np.exp(-0.5 * _squares(x, x, self._by_length))
@@ -148,7 +151,7 @@ class Process:
         return self.caution * (prior - u @ u.T), self.caution * self._s2
 
     def _covariances(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the prior covariances of x with the N points, and their smooth part, (n, N) each."""
+        """Return the prior covariances between x and the N points, and their smooth part, (n, N) each."""
         smooth = self._smooth * np.exp(-0.5 * _squares(x, self.x, self._by_length))
         trend = np.ones_like(smooth)
         for j in range(x.shape[1]):
@@ -166,7 +169,7 @@ class Process:
         return self._trend * own + self._smooth - np.sum(u**2, axis=1)
 
     def _variance(self, scaled: FloatArray) -> FloatArray:
-        """Return scaled variances (n,), or their derivatives, in units of y², (n, q, …), multiplied by `caution`.
+        """Convert scaled variances (n,), or their derivatives, to units of y², (n, q, …), times `caution`.
 
         Variances that are negative by rounding are set to zero.
         """
@@ -176,7 +179,7 @@ class Process:
 
 
 def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return k (n, N) times a matrix (N, N), computed in chunks of equal shape: no row depends on another row."""
+    """Return k (n, N) times a matrix (N, N), computed in chunks of equal shape so that rows are independent."""
     n, N = k.shape
     padded = np.zeros((-(-n // _CHUNK) * _CHUNK, N))
     padded[:n] = k
@@ -184,7 +187,7 @@ def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return Σ_j w_j (x_j − x′_j)² of all pairs of points, shape (n, N), always summed in the same order."""
+    """Return Σ_j w_j (x_j − x′_j)² for all pairs of points, shape (n, N), always summed in the same order."""
     total = np.zeros((len(x), len(other)))
     for j, weight in enumerate(weights):
         total += weight * (x[:, j, None] - other[:, j]) ** 2
@@ -192,7 +195,7 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
 
 
 def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> GaussianProcessRegressor:
-    """Return the regressor of scikit-learn, fitted to z (N, q) at x (N, d)."""
+    """Fit a scikit-learn regressor to z (N, q) at x (N, d), and return it."""
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor

@@ -24,13 +24,13 @@ _GROWN = 1.15
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The design of a surrogate: points theta and the paired modes that the slow model gives there.
+    """Design points theta of a surrogate, and the slow model's paired modes there.
 
     Attributes
     ----------
     theta : ndarray, shape (N, n_parameters)
     frequencies : ndarray, shape (N, n_modes), Hz
-        Frequencies; NaN where a solve failed.
+        NaN where a solve failed.
     shapes : ndarray, shape (N, n_sensors, n_modes)
         Shapes at the sensors; n_sensors = 0 if shapes are not needed.
     """
@@ -41,11 +41,11 @@ class Design:
 
     @property
     def failed(self) -> BoolArray:
-        """Whether each solve failed, bool, shape (N,): a frequency is not finite, or zero and has no logarithm."""
+        """Mask of failed solves, shape (N,). A frequency of zero counts as a failure, as it has no logarithm."""
         return ~(np.isfinite(self.frequencies) & (self.frequencies > 0.0)).all(axis=1)
 
     def join(self, other: Design) -> Design:
-        """Return the design of this design's points followed by another's."""
+        """Return a design with this design's points followed by another's."""
         return Design(
             np.concatenate([self.theta, other.theta]),
             np.concatenate([self.frequencies, other.frequencies]),
@@ -54,21 +54,21 @@ class Design:
 
 
 class SurrogateModel(ModalModel):
-    """Gaussian processes of the logarithms of a slow model's paired eigenvalues, and of its shapes if needed.
+    """Gaussian processes for the logarithms of a slow model's paired eigenvalues, and for its shapes if needed.
 
-    The modes are paired at each point of the design before the processes are fitted, so that a process follows its
-    mode even where modes cross. Shapes have unit length at the sensors, and the sign of the reference.
+    The modes are paired at each design point before the processes are fitted, so that a process follows its mode
+    even where modes cross. Shapes have unit length at the sensors, and the sign of the reference.
 
     Parameters
     ----------
     truth : ModalModel
         The slow model, with paired modes.
     design : Design
-        The solves to which the processes are fitted; at least two have succeeded.
+        Solves to which the processes are fitted; at least two must have succeeded.
     coordinates : Coordinates
-        The map from theta to the inputs of the processes.
+        Map from theta to the inputs of the processes.
     reference : ndarray, shape (n_sensors, n_modes), optional
-        The measured shapes, which determine the signs. Without them shapes are not predicted.
+        Measured shapes, which determine the signs. Without them shapes are not predicted.
     before : SurrogateModel, optional
         A surrogate with a smaller design; the search for hyper-parameters begins at its values.
 
@@ -126,13 +126,13 @@ class SurrogateModel(ModalModel):
         return self._where_feasible(x, np.exp(0.5 * z))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return expected frequencies (n, n_modes) in Hz and their exact gradients (n, n_modes, n_parameters)."""
+        """Return expected frequencies in Hz, (n, n_modes), and exact gradients, (n, n_modes, n_parameters)."""
         seen = self.observed(theta, gradient=True)
         assert seen.frequency_slopes is not None  # narrowed for the type checker: asked for above
         return seen.frequencies, seen.frequency_slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies, and shapes if predicted, with their variances, and derivatives if `gradient`."""
+        """Predict frequencies, and shapes if fitted, with variances, and with derivatives if `gradient`."""
         x = self.coordinates.to_x(theta)
         by_theta = self.coordinates.slope(theta)[:, None] if gradient else None
         with single_thread():
@@ -154,7 +154,7 @@ class SurrogateModel(ModalModel):
         return ModalPrediction(f_hz, s, df, ds, v_hz2, sv, dv_hz2, ds if dsv is None else dsv)
 
     def limit_variance(self, theta: FloatArray) -> None:
-        """Limit all variances to the largest ones at draws theta (n, n_parameters); see `Process.limit`."""
+        """Limit all variances to the largest at posterior draws theta (n, n_parameters); see `Process.limit`."""
         x = self.coordinates.to_x(theta)
         with single_thread():
             for process in (*self.of_frequencies, *self.of_shapes):
@@ -163,7 +163,7 @@ class SurrogateModel(ModalModel):
     def variances(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variances of frequencies (n, n_modes) in Hz², and of shapes (n, n_sensors, n_modes).
 
-        These are the variances of `observed` without the limit of `limit_variance`.
+        They are the same as from `observed`, but without the limit set by `limit_variance`.
         """
         x = self.coordinates.to_x(theta)
         z, v = self.pairs.values(*self._learnt(x, limited=False))
@@ -173,9 +173,9 @@ class SurrogateModel(ModalModel):
         return 0.25 * np.exp(z) * v, np.stack(of_shapes, axis=2) if of_shapes else empty
 
     def weights_of_learnt(self, theta: FloatArray, of_frequency: FloatArray) -> FloatArray:
-        """Return weights of the variances of the processes, from weights of the variances of frequencies.
+        """Convert weights for frequency variances, in 1/Hz², to weights for the variances of the processes.
 
-        Both have the shape (n, n_modes); the given weights are in 1/Hz². The weighted sums of variances agree.
+        Both have shape (n, n_modes). The weighted sums of variances agree.
         """
         y, v = self._learnt(self.coordinates.to_x(theta))
         z, _ = self.pairs.values(y, v)
@@ -183,7 +183,7 @@ class SurrogateModel(ModalModel):
 
     @property
     def scatter(self) -> FloatArray:
-        """Standard deviations of the solver's scatter in the quantities of the frequency processes, (n_modes,)."""
+        """Standard deviations of the solver's scatter in the quantities that the processes predict, (n_modes,)."""
         return np.concatenate([p.scatter for p in self.of_frequencies])
 
     def configuration(self) -> dict[str, object]:
@@ -194,7 +194,7 @@ class SurrogateModel(ModalModel):
         return {"design": digest.hexdigest()}
 
     def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return expected values and variances of the frequency processes at x, (n, n_modes) each."""
+        """Return expected values and variances from the frequency processes at x, (n, n_modes) each."""
         with single_thread():
             parts = [p.predict(x, limited) for p in self.of_frequencies]
         y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
@@ -205,12 +205,15 @@ class SurrogateModel(ModalModel):
 
 
 def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
-    """Return the arrays joined along an axis by `join`, or None if the first is None."""
+    """Join the arrays along an axis with `join`, or return None if the first is None."""
     return None if parts[0] is None else join(parts, axis=axis)
 
 
 def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
-    """Return value and variance at x, with their derivatives over theta; None for these if `by_theta` is None."""
+    """Return the value and variance at x, and their derivatives with respect to theta.
+
+    The derivatives are None if `by_theta` is None.
+    """
     if by_theta is None:
         return *process.predict(x), None, None
     value, variance, slopes, by_variance = process.predict_with_slopes(x)
@@ -218,10 +221,10 @@ def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> An
 
 
 def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | None, search: bool) -> list[Process]:
-    """Return a list of processes of quantities y (N, q) at x: a single shared process, or one per quantity.
+    """Fit quantities y (N, q) at x by a single process, or by one process per quantity, and return a list.
 
-    Few points determine common length scales, but not the length scales of every quantity. Separate processes are
-    used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
+    A few points can determine common length scales, but not separate ones for every quantity. Separate processes
+    are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
     """
     if not search and before is not None:
         if len(before) == 1:
@@ -237,7 +240,7 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
 
 
 def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
-    """Return the design of the slow model's modes at theta (n, n_parameters), with shapes if `with_shapes`."""
+    """Solve the slow model at theta (n, n_parameters), and return the design, with shapes if `with_shapes`."""
     if with_shapes:
         seen = truth.observed(theta)
         return Design(theta, seen.frequencies, seen.shapes)
@@ -246,6 +249,6 @@ def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Des
 
 
 def orient_shapes(shapes: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return shapes (n, n_sensors, n_modes) scaled to unit length, with the sign of the reference shapes."""
+    """Scale shapes (n, n_sensors, n_modes) to unit length, and give them the signs of the reference shapes."""
     along = np.sum(shapes * reference, axis=1, keepdims=True)
     return shapes / np.linalg.norm(shapes, axis=1, keepdims=True) * np.where(along < 0.0, -1.0, 1.0)
