@@ -153,8 +153,8 @@ class Posterior:
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The likelihood must be that of computed modes. The information on the structural parameters is JᵀJ, where J
-        is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds is Fisher's.
+        It needs a likelihood of computed modes. The information on the structural parameters is JᵀJ, where J is
+        the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds is Fisher's.
         """
         return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
 

@@ -1,4 +1,4 @@
-"""Covariance matrices of measured frequencies."""
+"""Covariance matrices for measured frequencies."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
 
 
 def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
-    """Return the weights of `n` modes, shape (n,), 1 by default. Raise ValueError unless all are positive."""
+    """Return the weights of `n` modes, shape (n,), by default 1; raise ValueError unless all are positive."""
     if weights is None:
         return np.ones(n)
     given = np.asarray(weights, dtype=float)

@@ -1,4 +1,4 @@
-"""The modes that a model predicts, used instead of measured ones while a test is planned."""
+"""Modes that a model predicts, in place of measured ones while a test is planned."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def expected_modes(
     frequency_sd: Positive = 0.005,
     sensors: Sequence[Dof] = (),
 ) -> ModalData:
-    """Return the modes of a model before updating, for a problem whose test has not been made yet.
+    """Return a model's modes before updating, as data for a problem whose test has not been made yet.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def expected_modes(
     n_modes : int
         Number of modes, from the lowest elastic one.
     frequency_sd : float
-        Relative standard deviation of the errors of measured frequencies.
+        Relative standard deviation of the frequency measurement errors.
     sensors : sequence of (place, direction)
         For a user's function: the sensors for which it returns shapes, in the order of their rows.
 

@@ -36,32 +36,32 @@ FRFKind = Literal["receptance", "mobility", "accelerance", "dynamic-stiffness"]
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class FRFData:
-    """The frequency response functions (FRFs) measured in a test, and their uncertainty.
+    """Frequency response functions (FRFs) measured in a test, and their uncertainty.
 
-    An FRF is the response at one point divided by the force at another, at each line (frequency) of a spectrum.
+    An FRF is the response at one point divided by the force at another, at each frequency line of a spectrum.
     Units are SI: m/N, m/s/N or m/s²/N; rotations are in rad, moments in N·m.
 
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_lines,)
-        Frequencies of the lines, ascending, evenly spaced or not. A line at 0 Hz is dropped.
+        Line frequencies, ascending, evenly spaced or not. A line at 0 Hz is dropped.
     values : ndarray of complex, shape (n_frfs, n_lines)
         One FRF per row. NaN and 0 stand for missing values, which are not used.
     drives : tuple of (place, direction)
-        Node, and direction x, y, z, rx, ry or rz with or without a minus, of the force of each FRF.
+        Node, and direction x, y, z, rx, ry or rz with or without a minus, of the force in each FRF.
     responses : tuple of (place, direction)
-        Node and direction of the response of each FRF.
+        Node and direction of the response in each FRF.
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
         Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
         converted to its reciprocal, the receptance. This is correct for the quotient of one force and one
-        response, with no other force applied, but not for an entry of the inverse of a matrix of receptances.
+        response, with no other force applied, but not for an entry in the inverse of a receptance matrix.
     sd : ndarray, shape (n_frfs, n_lines), optional
         Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar applies
         to all values, and one number per FRF, shape (n_frfs, 1), to all its lines. NaN and 0 stand for missing
         values.
     coherence : ndarray, shape (n_frfs, n_lines), optional
         Ordinary coherence γ², from 0 to 1. If `sd` is not given, it gives the standard deviations with `averages`:
-        |H| √((1 − γ²)/(2 γ² n)) of the real and the imaginary part (Bendat & Piersol 2010, *Random Data*, 4th ed.,
+        |H| √((1 − γ²)/(2 γ² n)) for the real and imaginary parts (Bendat & Piersol 2010, *Random Data*, 4th ed.,
         section 9.2.4).
     averages : float, optional
         Number n of independent averages behind the coherence.
@@ -131,7 +131,7 @@ class FRFData:
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
     def _check_lines(self, notes: list[str]) -> None:
-        """Append notes on lines without values to `notes`; ValueError if an FRF has none, or no line is used."""
+        """Append notes about lines without values; raise ValueError if an FRF has none, or no line is used."""
         missing = np.isnan(np.asarray(self.values))
         notes += check_rows(self.labels, missing)
         if self.band is not None and not 0.0 <= self.band[0] < self.band[1]:
@@ -151,21 +151,21 @@ class FRFData:
         kind: FRFKind = "accelerance",
         **options: Any,
     ) -> Self:
-        """Return the mean of the FRFs of repeated hits, with its standard deviation from their scatter.
+        """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
-        The error of the mean divided by `sd` has Student's distribution with 2 (hits − 1) degrees of freedom
+        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom
         (`freedom`). One in 20 Gaussian errors exceeds 1.96 sd. For the mean of 3 hits it is 2.4 in 20, for 5 hits
-        1.7, and for 10 hits 1.3. Use ten hits or more, or errors with Student's distribution.
+        1.7, and for 10 hits 1.3. Use ten hits or more, or errors with Student's t distribution.
 
         Parameters
         ----------
         frequencies_hz : array_like, shape (n_lines,)
         values : array_like of complex, shape (n_hits, n_frfs, n_lines)
-            One FRF per hit; NaN where a hit failed. A line needs the values of at least two hits.
+            One FRF per hit; NaN where a hit failed. A line needs values from at least two hits.
         drives, responses, kind
-            The attributes of the class with these names.
+            The class attributes with these names.
         **options
-            ``use``, ``band`` and ``notes`` of the class.
+            The class attributes ``use``, ``band`` and ``notes``.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class FRFData:
         overlap: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.5,
         **options: Any,
     ) -> Self:
-        """Return FRFs estimated from time records of one force and the responses to it.
+        """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, H2 = S_xx/S_xf if it is in the force. The
         coherence gives the standard deviations. A segment must be several times longer than the decay time
@@ -206,17 +206,19 @@ class FRFData:
         response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
             Displacements (m), velocities (m/s) or accelerations (m/s²), depending on `kind`.
         sampling_hz : float
+            Sampling rate, Hz.
         drives, responses, kind
-            The attributes of the class; all drives must be the same. A dynamic stiffness is not possible.
+            The class attributes with these names; all drives must be the same. A dynamic stiffness is not
+            possible.
         estimator : {"H1", "H2"}
         window : str
-            Window of each segment, a name in `scipy.signal.get_window`; "boxcar" for the records of hits.
+            Window of each segment, a name in `scipy.signal.get_window`; "boxcar" for records of hits.
         segment : int, optional
             Number of samples per segment. Defaults to an eighth of a long record, or the whole record of a hit.
         overlap : float
             Share of a segment that the next one overlaps, from 0 to less than 1.
         **options
-            ``use``, ``band`` and ``notes`` of the class.
+            The class attributes ``use``, ``band`` and ``notes``.
 
         Raises
         ------
@@ -233,7 +235,7 @@ class FRFData:
 
     @property
     def power(self) -> int:
-        """Power of iω by which receptances are multiplied: 0, 1 for mobilities, 2 for accelerances."""
+        """Power of iω by which receptances are multiplied: 0 for none, 1 for mobilities, 2 for accelerances."""
         return KINDS.index(self.kind)
 
     @property
@@ -243,18 +245,18 @@ class FRFData:
 
     @property
     def n_lines(self) -> int:
-        """Number of lines."""
+        """Number of frequency lines."""
         return len(np.asarray(self.frequencies_hz))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The response and the drive of each FRF: ``"tip z / root y"``."""
+        """Response and drive of each FRF as text: ``"tip z / root y"``."""
         pairs = zip(self.responses, self.drives, strict=True)
         return tuple(f"{response[0]} {response[1]} / {drive[0]} {drive[1]}" for response, drive in pairs)
 
     @cached_property
     def used(self) -> BoolArray:
-        """Whether each value is used, (n_frfs, n_lines): in `use` and `band`, not missing, and with an sd > 0."""
+        """Mask of the values used, (n_frfs, n_lines): in `use` and `band`, not missing, and with an sd > 0."""
         there = self._chosen & np.isfinite(np.asarray(self.values))
         sd = self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
@@ -275,14 +277,14 @@ class FRFData:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of each standard deviation; infinite if `sd` was given without `hits`."""
+        """Degrees of freedom with which each sd was estimated; infinite if `sd` was given without `hits`."""
         if self.hits is not None:
             return 2.0 * (self.hits - 1)
         return 2.0 * (self.averages - 1.0) if self.sd is None and self.averages is not None else np.inf
 
     @cached_property
     def _chosen(self) -> BoolArray:
-        """Whether each value is in `use` and `band`, shape (n_frfs, n_lines)."""
+        """Mask of the values in `use` and `band`, shape (n_frfs, n_lines)."""
         chosen = np.ones((self.n_frfs, self.n_lines), dtype=bool)
         if self.use is not None:
             chosen &= np.asarray(self.use)
@@ -306,7 +308,7 @@ class FRFData:
 
     @check_arguments
     def with_bands(self, bands: Sequence[tuple[float, float]]) -> Self:
-        """Return the same FRFs, with only those used lines that are in one of the bands (low, high), Hz.
+        """Return the same FRFs, using only those lines that are also in one of the bands (low, high), Hz.
 
         Raises
         ------
@@ -321,7 +323,10 @@ class FRFData:
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
         """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
 
-        ValueError is raised if `mask` has another shape, or no line is left.
+        Raises
+        ------
+        ValueError
+            If `mask` has another shape, or no line is left.
         """
         left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
         return replace(self, use=self._chosen & ~left_out, band=None)
@@ -334,14 +339,14 @@ class FRFData:
 
     @check_arguments
     def pick_frequencies(self, n: Count | None = None) -> Peaks:
-        """Return the frequencies (m,) in Hz and the damping ratios (m,) of the resonances, ascending.
+        """Return the resonances' frequencies in Hz and damping ratios, (m,) each, in ascending order.
 
         They are starting values for updating, not data; see `fmu.posterior.data.frf.peaks.pick_peaks`.
 
         Parameters
         ----------
         n : int, optional
-            Largest number of resonances; the most prominent peaks are kept.
+            Largest number of resonances; the most prominent peaks are returned.
         """
         return pick_peaks(self._spectra, n)
 
@@ -353,7 +358,7 @@ class FRFData:
         reference: tuple[Any, str] | None = None,
         least_mpc: Collinearity = LEAST_MPC,
     ) -> IdentifiedModes:
-        """Return the modes of the FRFs of one reference: frequencies and shapes as `fmu.ModalData`, and damping.
+        """Identify modes from the FRFs with one reference: frequencies and shapes as `fmu.ModalData`, and damping.
 
         sdypy-EMA fits them at the resonances of `pick_frequencies`; see `fmu.posterior.data.frf.identification`.
 
@@ -362,7 +367,8 @@ class FRFData:
         n : int, optional
             Largest number of modes.
         reference : (place, direction), optional
-            The drive, or the response for a roving hammer, of the FRFs to use. Defaults to the most frequent.
+            The drive (for a roving hammer, the response) that the FRFs to use share. Defaults to the most frequent
+            one.
         least_mpc : float
             Smallest modal phase collinearity; see `fmu.formats.modes.measured_modes.real_shapes`.
 
@@ -378,13 +384,13 @@ class FRFData:
     def doubts(self) -> tuple[str, ...]:
         """Return warnings that the FRFs may have the wrong kind, polarity or position, one sentence each.
 
-        The evidence is a slope or a phase of another kind of FRF, reciprocal FRFs that differ, or a force that
-        extracts power (`fmu.posterior.data.frf.doubts`). There is another warning for an sd from few hits.
+        The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
+        that extracts power (`fmu.posterior.data.frf.doubts`). There is another warning for an sd from few hits.
         """
         return doubts(self._spectra, self.power, self.freedom)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings in plain Python types, with a hash of the numbers."""
+        """Return the settings, with a hash of the numbers, as a dict of plain Python types."""
         frequencies = np.asarray(self.frequencies_hz)
         arrays = [frequencies, np.asarray(self.values), self.used, *([] if self._sd is None else [self._sd])]
         return {

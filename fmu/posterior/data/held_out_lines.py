@@ -1,4 +1,4 @@
-"""The measured values that are not used in updating but test the updated model."""
+"""Measured values that are left out of updating and test the updated model."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from fmu.types import BoolArray
 
 
 def held_out(data: FRFData) -> BoolArray:
-    """Return whether each value, (n_frfs, n_lines), tests the updated model.
+    """Return a mask (n_frfs, n_lines) of the values that test the updated model.
 
-    These are the values with a known error that are not used, at lines between the lowest and the highest line in
-    use. The reduced model is not trained beyond these lines.
+    These are unused values with a known error, at lines between the lowest and the highest line in use. The
+    reduced model is not trained beyond these lines.
     """
     lines = np.asarray(data.frequencies_hz)
     in_use = lines[data.used.any(axis=0)]

@@ -26,14 +26,14 @@ from fmu.types import FloatArray, IntArray, Plain
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class ModalData:
-    """The frequencies and shapes measured in a modal test, and their uncertainty.
+    """Frequencies and mode shapes measured in a modal test, and their uncertainty.
 
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_modes,)
         Natural frequencies.
     numbers : tuple of int
-        The number (from 1) of each measured mode in the sorted spectrum of the model, for pairing by number.
+        The number (from 1) of each measured mode in the model's sorted spectrum, for pairing by number.
         Defaults to 1, 2, …
     sensors : tuple of (node, direction)
         Node and direction of each sensor. A mode with no motion at any sensor cannot be measured.
@@ -42,27 +42,26 @@ class ModalData:
     labels : tuple of str
         Names of the modes. Defaults to ``"1"``, ``"2"``, …
     sd_hz : ndarray, shape (n_modes,), optional
-        Standard deviations of independent errors of the frequencies; a scalar applies to all modes.
+        Standard deviations of independent frequency errors; a scalar applies to all modes.
     covariance_hz2 : ndarray, shape (n_modes, n_modes), optional
-        Covariance of correlated errors, instead of `sd_hz`.
+        Covariance of correlated frequency errors, instead of `sd_hz`.
     shapes_sd : ndarray, shape (n_sensors, n_modes), optional
-        Standard deviations of the errors of the shape components, for shapes scaled to unit length at the sensors.
-        A scalar applies to all components; one number per mode applies to all sensors.
+        Error standard deviations for the components of shapes scaled to unit length at the sensors. A scalar
+        applies to all components; one number per mode applies to all sensors.
     counterparts : tuple of int, optional
-        For pairing by shape if no shapes were measured: the number of the mode of the model before updating
-        that corresponds to each measured mode, counted from 1 among the elastic modes that move a sensor. Defaults
+        For pairing by shape if no shapes were measured: the number of the model's mode before updating that
+        corresponds to each measured mode, counted from 1 among the elastic modes that move a sensor. Defaults
         to the lowest of these modes, in ascending order.
     tests : RepeatedTests, optional
         The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
         one more test, and to check whether the tests are independent.
     use : tuple of bool, optional
-        Whether each mode is used in updating. Defaults to all modes. The modes that are not used are paired and
-        predicted too, but are not in the likelihood, so that they validate the updated model.
+        Whether each mode is used in updating. Defaults to all modes. Unused modes are paired and predicted too,
+        but are not in the likelihood, so that they validate the updated model.
     mpc : ndarray, shape (n_modes,), optional
         Modal phase collinearity of measured shapes that were complex, for display.
     points : Matching, optional
-        The measurement points matched to the nodes of the model by their coordinates (`fmu.match_points`), for
-        display.
+        The measurement points matched to the model's nodes by their coordinates (`fmu.match_points`), for display.
     counts_rigid : bool, optional
         Whether `numbers` count the rigid-body modes of a free structure. Defaults to True if `numbers` are given;
         otherwise mode 1 is the first elastic mode.
@@ -167,7 +166,7 @@ class ModalData:
         labels: tuple[str, ...] = (),
         use: tuple[bool, ...] = (),
     ) -> Self:
-        """Return the mean of several tests as modal data, with the uncertainty estimated from their scatter.
+        """Average several tests; return the mean as modal data, with the uncertainty estimated from the scatter.
 
         Parameters
         ----------
@@ -175,21 +174,21 @@ class ModalData:
             NaN where a test missed a mode; every mode needs at least two values.
         shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
             Measured shapes in any scale and sign, all NaN where a test missed a mode; see
-            `fmu.posterior.data.repeated.mean_shapes`. The scatter of the shapes gives the standard deviation of
-            the mean shapes (`fmu.posterior.data.repeated.shapes_sd`).
+            `fmu.posterior.data.repeated.mean_shapes`. Their scatter gives the standard deviation of the mean
+            shapes (`fmu.posterior.data.repeated.shapes_sd`).
         scatter : {"each", "pooled", "joint"}
             "each": independent modes, each with its own scatter. "pooled": independent modes with one relative
             scatter, for few tests. "joint": a full covariance, which needs at least three tests more than modes.
             In all three cases the standard deviation is increased because few tests determine it poorly, see
             `fmu.posterior.data.repeated.RepeatedTests`.
         numbers, sensors, labels, use
-            The attributes of the class with these names.
+            The class attributes with these names.
 
         Raises
         ------
         ValueError
-            If a mode has too few values, the values of a mode do not scatter, or the shapes of two tests belong to
-            different modes.
+            If a mode has too few values, a mode's values do not scatter, or two tests' shapes belong to different
+            modes.
         """
         tests = RepeatedTests(frequencies, scatter)
         mean, sd, covariance = tests.mean()
@@ -199,15 +198,15 @@ class ModalData:
     @classmethod
     @check_arguments
     def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
-        """Return the modes in CSV tables: frequencies from one table and, optionally, shapes from another.
+        """Read modes from CSV tables: frequencies from one table and, optionally, shapes from another.
 
         Parameters
         ----------
         frequencies : path-like
             Table with the columns ``mode``, ``frequency`` (Hz) and, if known, ``number``, ``sd`` (Hz) and ``use``.
         shapes : path-like, optional
-            Table with the columns ``place``, ``direction``, and a column for each mode, headed by the name of the
-            mode; see `fmu.formats.modes.csv`.
+            Table with the columns ``place``, ``direction``, and a column for each mode, headed by the mode's name;
+            see `fmu.formats.modes.csv`.
 
         Raises
         ------
@@ -231,14 +230,14 @@ class ModalData:
         modes: Sequence[int] | None = None,
         **options: Any,
     ) -> Self:
-        """Return the modes in a universal file, dataset 55; needs the package pyuff.
+        """Read modes from a universal file, dataset 55; needs the package pyuff.
 
         Parameters
         ----------
         path : path-like
         nodes : mapping of node number to place, optional
-            The node of the model, or its name, for each node number in the file; nodes of the file that are not in
-            the mapping are skipped. By default, the nodes of the model have the same numbers as those in the file.
+            Maps node numbers in the file to model nodes or their names; nodes of the file that are not in the
+            mapping are skipped. By default, the model's nodes have the same numbers as those in the file.
         modes : sequence of int, optional
             Numbers of the modes in the file. Defaults to all modes.
         **options
@@ -273,14 +272,14 @@ class ModalData:
         result : object
             ``setup["name"].result`` after ``mpe``; with ``calc_unc=True`` it contains standard deviations.
         sensors : sequence of (place, direction)
-            The sensor of each channel, in the order of the channels.
+            The sensor of each channel, in channel order.
         modes : sequence of int, optional
-            Numbers of the modes of the result, from 1. Defaults to all modes.
+            Numbers of the modes in the result, from 1. Defaults to all modes.
         least_mpc : float
             Smallest modal phase collinearity accepted; see `fmu.formats.modes.measured_modes.real_shapes`.
         **options
-            Other arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the standard
-            deviations of the result.
+            Other arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the result's
+            standard deviations.
 
         Raises
         ------
@@ -299,7 +298,7 @@ class ModalData:
         path : path-like
             An existing file is replaced.
         nodes : mapping of node number to place, optional
-            The node of the model, or its name, for each node number in the file; needed for nodes with a name.
+            Maps node numbers in the file to model nodes or their names; needed if nodes have names.
 
         Raises
         ------
@@ -315,20 +314,20 @@ class ModalData:
     @classmethod
     @check_arguments
     def from_modes(cls, modes: MeasuredModes, **options: Any) -> Self:
-        """Return modal data with the modes that a reader of `fmu.formats.modes` has read.
+        """Convert modes read by `fmu.formats.modes` to modal data.
 
         Parameters
         ----------
         modes : MeasuredModes
         **options
             Further arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the
-            standard deviations of `modes`.
+            standard deviations in `modes`.
         """
         own = {} if "covariance_hz2" not in options else {"sd_hz": None}
         return cls(**(vars(modes) | own | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
-        """Return the same modes with other frequencies (n_modes,), without the modes whose frequencies are NaN."""
+        """Return the same modes with other frequencies (n_modes,) in Hz; modes with a NaN frequency are dropped."""
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
@@ -363,7 +362,7 @@ class ModalData:
         return None if all(self.use) else np.flatnonzero(self.use)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the data in plain Python types."""
+        """Return the data as a dict of plain Python types."""
         optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
         given = {name: getattr(self, name) for name in optional if getattr(self, name) is not None}
         return {
@@ -379,7 +378,7 @@ class ModalData:
 
 
 def _spread(value: ArrayLike, name: str, shape: tuple[int, ...], what: str) -> FloatArray:
-    """Return standard deviations as a read-only array of the given shape. Raise ValueError if they are invalid."""
+    """Return standard deviations as a read-only array of the given shape; raise ValueError if they are invalid."""
     given = np.array(value, dtype=float)
     if given.shape not in ((), shape[-1:], shape):
         raise ArgumentError(name, f"must be a number or have shape {shape}, {what}", given.shape)

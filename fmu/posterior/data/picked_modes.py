@@ -1,4 +1,4 @@
-"""Resonances of frequency response functions as modes, which are paired with the modes of a model."""
+"""Turn resonances in frequency response functions into modes that can be paired with a model's modes."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ def pick_modes(
     n: Count | None = None,
     sd: Positive = PICKED_SD,
 ) -> ModalData:
-    """Return the resonances of frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
+    """Return the resonances in frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
 
     If `fmu.FRFErrors` is the only error model, these modes are not data, because the FRFs already contain their
-    information. They are paired with the modes of the model, and the search for maxima begins with them.
+    information. They are paired with the model's modes, and the search for maxima begins with them.
     Resonances are sought at all lines between the lowest and the highest line in use.
 
     Parameters
     ----------
     data : FRFData
     numbers : sequence of int, optional
-        For pairing by shape: the number of the mode of the model that corresponds to each resonance, counted from
-        1 among the elastic modes that move a response. For pairing by number: the number in the spectrum. Defaults
+        For pairing by shape: the number of the model's mode that corresponds to each resonance, counted from 1
+        among the elastic modes that move a response. For pairing by number: the number in the spectrum. Defaults
         to 1, 2, … in ascending order of frequency. Give the numbers if the test misses a mode.
     n : int, optional
-        Largest number of resonances; the most prominent peaks are kept. Defaults to the length of `numbers`.
+        Largest number of resonances; the most prominent peaks are returned. Defaults to the length of `numbers`.
     sd : float
-        Standard deviation of the frequencies relative to them, by which the search weights them.
+        Relative standard deviation of the frequencies, which weights them in the search.
 
     Returns
     -------
     ModalData
-        Frequencies, numbers and standard deviations, with the responses of the FRFs as sensors.
+        Frequencies, numbers and standard deviations, with the FRFs' responses as sensors.
 
     Raises
     ------

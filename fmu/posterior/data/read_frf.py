@@ -1,4 +1,4 @@
-"""Reading of measured frequency response functions from files."""
+"""Read measured frequency response functions from files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def read_frf(
     use: Annotated[ArrayLike | None, OwnRule()] = None,
     band: tuple[float, float] | None = None,
 ) -> FRFData:
-    """Return the frequency response functions (FRFs) in a file.
+    """Read frequency response functions (FRFs) from a file.
 
     ===============================  ======================================================================
     ``.uff``, ``.unv``               universal files, dataset 58: needs the package pyuff
@@ -49,15 +49,15 @@ def read_frf(
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}, optional
         Needed if the file does not state it; must not contradict a file that does.
     drives, responses : tuple of (place, direction), optional
-        Points of the FRFs, in the order of the file; needed if the file does not name them.
+        Points of the FRFs, in file order; needed if the file does not name them.
     nodes : mapping of node number to place, optional
-        For universal files: the node of the model, or its name, for each node number in the file; FRFs at other
-        nodes are skipped. By default, the nodes of the model have the same numbers as those in the file.
+        For universal files: maps node numbers in the file to model nodes or their names; FRFs at other nodes are
+        skipped. By default, the model's nodes have the same numbers as those in the file.
     variables : mapping of str to str, optional
         For arrays: the name in the file of ``frequencies_hz``, ``values``, ``coherence``, ``sd``, ``averages``,
         ``kind``, ``drives`` or ``responses``, if it differs; ``"test.H"`` is the field H of a structure.
     frfs : sequence of int, optional
-        Numbers of the FRFs to read, from 1 in the order of the file. Defaults to all FRFs.
+        Numbers of the FRFs to read, from 1 in file order. Defaults to all FRFs.
     scale : float
         Factor that converts the values in the file to SI units: 9.80665 for accelerations in g.
     averages : float, optional

@@ -1,4 +1,4 @@
-"""Repeated tests of one structure: the mean of the measured modes, and the uncertainty of the mean."""
+"""Repeated tests of one structure: the mean of the measured modes, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class _Scatter(NamedTuple):
 
 
 def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
-    """Return frequencies as an array (n_tests, n_modes). Raise ValueError if an argument is invalid."""
+    """Return frequencies as an array (n_tests, n_modes); raise ValueError if an argument is invalid."""
     values = np.array(frequencies, dtype=float)
     if values.ndim != 2 or values.size == 0:
         raise ArgumentError("frequencies", "must have shape (n_tests, n_modes)", values.shape)
@@ -74,7 +74,7 @@ def _scatter(values: FloatArray, scatter: str) -> _Scatter:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedTests:
-    """The frequencies of repeated tests, in the order in which the tests were made.
+    """Frequencies from repeated tests, in the order in which the tests were made.
 
     Attributes
     ----------
@@ -90,20 +90,20 @@ class RepeatedTests:
 
         "joint": a full covariance, for modes whose frequencies vary together, as with temperature. With the prior
         ∝ |Σ|^(−(n_modes + 1)/2) the mean has a multivariate Student distribution (Gelman et al. 2013, Bayesian
-        Data Analysis, 3rd ed., section 3.6). The covariance of that distribution is used, S (n − 1)/(n (n −
-        n_modes − 2)) with the sample covariance S. It exists for n ≥ n_modes + 3 tests, none with a mode missing.
-        With fewer tests, S is singular or nearly so.
+        Data Analysis, 3rd ed., section 3.6). That distribution's covariance is used, S (n − 1)/(n (n − n_modes −
+        2)) with the sample covariance S. It exists for n ≥ n_modes + 3 tests, if no test missed a mode. With fewer
+        tests, S is singular or nearly so.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive, a mode has too few values, the values of a mode do not scatter at all, or
-        there are too few tests for a joint scatter.
+        If a frequency is not positive, a mode has too few values, a mode's values do not scatter at all, or there
+        are too few tests for a joint scatter.
 
     Notes
     -----
-    The scatter measures repeatability only. Errors that all tests share (the mass of the sensors, the weather of
-    that day, a bias of the identification, the error of the model) do not average out and are not included.
+    The scatter measures repeatability only. Errors that all tests share (the mass of the sensors, that day's
+    weather, identification bias, model error) do not average out and are not included.
     """
 
     frequencies_hz: ArrayLike
@@ -118,12 +118,12 @@ class RepeatedTests:
     def mean(self) -> MeanFrequencies:
         """Return the mean over the tests, and its uncertainty estimated from the scatter between the tests.
 
-        With n_i tests of mode i, their sample standard deviation s_i and ν degrees of freedom, the error of the
-        mean divided by s_i/√n_i has Student's distribution, because s_i is itself an estimate. This distribution
-        is replaced by the Gaussian with the same central 95 % interval. The standard deviation of the Gaussian is
-        s_i/√n_i · t_0.975(ν)/1.96 (the expanded uncertainty of JCGM 100:2008, GUM, annex G.3, divided by the
-        normal factor): 6.5 s_i/√n_i for two tests, 2.2 s_i/√n_i for three, 1.4 s_i/√n_i for five and
-        1.05 s_i/√n_i for twenty-five.
+        With n_i tests of mode i, their sample standard deviation s_i and ν degrees of freedom, the mean's error
+        divided by s_i/√n_i has Student's t distribution, because s_i is itself an estimate. This distribution is
+        replaced by the Gaussian with the same central 95 % interval. The Gaussian's standard deviation is s_i/√n_i
+        · t_0.975(ν)/1.96 (the expanded uncertainty in JCGM 100:2008, GUM, annex G.3, divided by the normal
+        factor): 6.5 s_i/√n_i for two tests, 2.2 s_i/√n_i for three, 1.4 s_i/√n_i for five and 1.05 s_i/√n_i for
+        twenty-five.
         """
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
@@ -132,9 +132,9 @@ class RepeatedTests:
         return MeanFrequencies(found.mean, found.s / np.sqrt(found.n) * _student(found.nu), None)
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return errors of the mean, divided by the standard deviation of `mean`, as standard normal scores.
+        """Convert errors of the mean, divided by the standard deviation from `mean`, to standard normal scores.
 
-        The Gaussian of `mean` has the central 95 % interval of Student's distribution but not its tails: with
+        The Gaussian in `mean` has the central 95 % interval of Student's t distribution but not its tails: with
         three tests, one error in a hundred is beyond four of these standard deviations. The score is Φ⁻¹(F(t))
         with the distribution function F of t, and is exactly standard normal. With a joint scatter `z` is
         returned unchanged.
@@ -143,7 +143,7 @@ class RepeatedTests:
         ----------
         z : ndarray, shape (..., n_modes), or any shape if a mode is given
         mode : int, optional
-            Index (from 0) of the mode that all values of `z` belong to.
+            Index (from 0) of the mode that all values in `z` belong to.
         """
         from scipy.special import ndtri, stdtr
 
@@ -155,20 +155,20 @@ class RepeatedTests:
 
     @property
     def freedom(self) -> FloatArray:
-        """Degrees of freedom of the error of each mean, shape (n_modes,); infinite if the scatter is joint."""
+        """Degrees of freedom of each mean's error, shape (n_modes,); infinite if the scatter is joint."""
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
             return np.full(values.shape[1], np.inf)
         return np.asarray(_scatter(values, self.scatter).nu, dtype=float)
 
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
-        """Draw deviations of one more test from the frequencies of the structure, shape (size, n_modes), Hz.
+        """Draw how much one more test's frequencies deviate from the structure's, shape (size, n_modes), Hz.
 
-        The standard deviation of a single test is estimated from n tests and, with the prior ∝ 1/s, integrated
-        out: the deviations are s_i times Student's t with ν_i degrees of freedom. For very few tests, a predictive
-        interval of a model that can fit the mean is a little too wide, because the Gaussian of `mean` is widened
+        A single test's standard deviation is estimated from n tests and, with the prior ∝ 1/s, integrated out: the
+        deviations are s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive
+        interval from a model that can fit the mean is a little too wide, because the Gaussian in `mean` is widened
         too: a 90 % interval has a coverage of 93 % for two tests, 92 % for three, and 90 % for five or more. If
-        the scatter is "joint", the deviations have the multivariate t-distribution with n − n_modes degrees of
+        the scatter is "joint", the deviations have the multivariate t distribution with n − n_modes degrees of
         freedom and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
         """
         values = np.asarray(self.frequencies_hz)
@@ -185,7 +185,7 @@ class RepeatedTests:
         return np.asarray((z @ root.T) / np.sqrt(rng.chisquare(nu, (size, 1)) / nu))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the frequencies, with None for a mode that a test missed, and the scatter."""
+        """Return the frequencies, with None for a mode that a test missed, and the scatter as a dict."""
         rows = [[None if np.isnan(f) else float(f) for f in row] for row in np.asarray(self.frequencies_hz)]
         return {"frequencies_hz": rows, "scatter": self.scatter}
 
@@ -212,36 +212,36 @@ def _joint(values: FloatArray) -> MeanFrequencies:
 
 
 def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
-    """Return the mean over the tests of shapes with a common scale and sign, shape (n_sensors, n_modes).
+    """Average mode shapes over the tests, with a common scale and sign; return shape (n_sensors, n_modes).
 
     Each shape is scaled to unit length, with the sign that makes its scalar product with the common direction
-    (the first eigenvector of Σ φφᵀ) positive. The mean has unit length and the sign of the first test.
+    (the first eigenvector of Σ φφᵀ) positive. The mean has unit length and the first test's sign.
 
     Parameters
     ----------
     shapes : array_like, shape (n_tests, n_sensors, n_modes)
         All NaN where a test missed a mode.
     least_mac : float
-        Smallest MAC of a shape with the mean; a smaller one indicates another mode.
+        Smallest MAC between a shape and the mean; a smaller one indicates another mode.
 
     Raises
     ------
     ValueError
-        If a shape is zero or not finite, a mode has no shape in any test, or the MAC of a shape with the mean is
-        below `least_mac`.
+        If a shape is zero or not finite, a mode has no shape in any test, or the MAC between a shape and the mean
+        is below `least_mac`.
     """
     values = _checked_shapes(shapes)
     return np.stack([_align_shapes(values[:, :, k], k + 1, least_mac)[1] for k in range(values.shape[2])], axis=1)
 
 
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
-    """Return the standard deviation of the components of the mean shapes, from the scatter of tests, (n_modes,).
+    """Return each mean shape's component standard deviation, (n_modes,), from the scatter between tests.
 
-    With the shapes u_j of unit length and one sign, and their mean m, the components of u_j orthogonal to m
-    scatter in n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1). The same
-    s is assumed for all sensors, as for sensors of one kind. The standard deviation of the mean is s/√n, widened
-    for few tests as in `RepeatedTests.mean`. Return None if a mode has fewer than two shapes, there is only one
-    sensor, or the shapes of a mode do not differ.
+    With the unit-length shapes u_j of one sign, and their mean m, the components of u_j orthogonal to m scatter in
+    n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1). The same s is
+    assumed for all sensors, as for sensors of one kind. The mean's standard deviation is s/√n, widened for few
+    tests as in `RepeatedTests.mean`. Return None if a mode has fewer than two shapes, there is only one sensor, or
+    a mode's shapes do not differ.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def _checked_shapes(shapes: ArrayLike) -> FloatArray:
 
 
 def _align_shapes(shapes: FloatArray, mode: int, least_mac: float = LEAST_MAC) -> tuple[FloatArray, FloatArray]:
-    """Return the measured shapes of one mode with unit length and the same sign, and the mean shape.
+    """Return one mode's measured shapes with unit length and the same sign, and their mean.
 
     Tests that missed the mode are left out. Raise the errors listed in `mean_shapes`.
     """

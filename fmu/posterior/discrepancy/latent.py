@@ -83,7 +83,7 @@ class LatentErrors:
     group: IntArray
 
     def terms(self) -> FloatArray:
-        """Return each row's log-density given the rows before it, minus that of independent residuals, (n, m).
+        """Return each row's log-density given the rows before it, relative to independent residuals, (n, m).
 
         The terms sum to log N(r; 0, S) − log N(r; 0, I). If all groups have one row and C is 0, each term is the
         log-density of its row alone. Terms are −∞ where the residuals are so many standard deviations that

@@ -1,4 +1,4 @@
-"""Error models: the distributions of the differences between measured and computed quantities, one file each.
+"""Error models: distributions of the differences between measured and computed quantities, one file each.
 
 Reading order: base, noise; frequency, student, shape, mac; quantities; likelihood, mixture; residual.
 """

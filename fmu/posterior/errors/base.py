@@ -1,4 +1,4 @@
-"""The interfaces of error models and likelihoods, and functions that their implementations share."""
+"""Interfaces of error models and likelihoods, and functions that their implementations share."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class ErrorModel(Protocol):
-    """The settings of an error model."""
+    """Settings of an error model."""
 
     @property
     def sd(self) -> ArrayLike | Parameter | None:
@@ -35,7 +35,8 @@ class ErrorModel(Protocol):
         ----------
         data : ModalData
         index : callable
-            Takes the Parameter of an inferred standard deviation and returns its index among those of the problem.
+            Takes an inferred standard deviation as a Parameter; returns its index among the problem's inferred
+            sds.
 
         Raises
         ------
@@ -45,11 +46,11 @@ class ErrorModel(Protocol):
         ...
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of errors of this kind that `data` have."""
+        """Return the number of errors of this kind in `data`."""
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if `data` supply a standard deviation of these errors, which `sd` would override."""
+        """Return True if `data` supply a standard deviation for these errors, which `sd` would override."""
         ...
 
 
@@ -59,14 +60,14 @@ class Evaluated(NamedTuple):
     Attributes
     ----------
     terms : ndarray, shape (n, n_modes)
-        The log-density of each mode. The following are its derivatives.
+        The log-density of each mode. The other attributes are its derivatives.
     by_frequency : ndarray, shape (n, n_modes), or None
-        With respect to the frequency of the mode, 1/Hz.
+        With respect to the mode's frequency, 1/Hz.
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
-        With respect to the components of the shape of the mode.
+        With respect to the components of the mode shape.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
-        With respect to each inferred standard deviation, by its index.
-    by_frequency_variance, by_shape_variance : ndarray, of the shapes of by_frequency and by_shape, or None
+        With respect to each inferred standard deviation, keyed by its index.
+    by_frequency_variance, by_shape_variance : ndarray, shapes as by_frequency and by_shape, or None
         With respect to the variances of the model's own errors.
     """
 
@@ -85,7 +86,9 @@ class Residuals(NamedTuple):
     ----------
     values : ndarray, shape (n, n_modes, q)
     by_frequency : ndarray, shape (n, n_modes, q), or None
+        Derivatives with respect to the mode's frequency, 1/Hz.
     by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
+        Derivatives with respect to the components of the mode shape.
     """
 
     values: FloatArray
@@ -99,15 +102,15 @@ class ErrorTerm:
     Attributes
     ----------
     spread : Spread
-        Variances of the errors.
+        Error variances.
     needs_shapes, of_frequencies : bool
-        Whether these are errors of mode shapes, or of frequencies, which `simulate` can add.
+        Whether these are errors in mode shapes, or in frequencies, which `simulate` can add.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
     is_chi_square : bool
-        Whether the squared residuals of a mode sum to a chi-square variable (`n_data` degrees of freedom).
+        Whether a mode's squared residuals sum to a chi-square variable (`n_data` degrees of freedom).
     quantity : str
-        Name of the quantities that have these errors, in the plural.
+        Plural name of the quantities that have these errors.
     tests : RepeatedTests or None
         The tests, if the standard deviations come from their scatter alone.
     """
@@ -122,7 +125,7 @@ class ErrorTerm:
 
     @property
     def n_data(self) -> int:
-        """Number of independent measured values per mode; by default, the number of residuals of a mode."""
+        """Number of independent measured values per mode; by default, the number of residuals per mode."""
         return len(self.labels([""]))
 
     @property
@@ -132,19 +135,19 @@ class ErrorTerm:
 
     @property
     def couples_modes(self) -> bool:
-        """Whether the term of a mode also depends on other modes."""
+        """Whether a mode's log-density also depends on other modes."""
         return False
 
     def among(self, used: IntArray | None) -> ErrorTerm:
         """Return the error model for the `used` modes (indices), whose terms sum to their joint log-density.
 
-        The caller drops the terms of the other modes. Subclasses in which a term depends on other measured modes
+        The caller drops the other modes' terms. Subclasses in which a term depends on other measured modes
         override this method.
         """
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return the normal scores of errors divided by their standard deviations, (..., n_modes) or of one mode.
+        """Return the normal scores of errors divided by their standard deviations, (..., n_modes) or for one mode.
 
         Gaussian errors are returned unchanged, unless the standard deviations were estimated from a few tests.
         """
@@ -155,12 +158,14 @@ class ErrorTerm:
         return seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the log-densities of the modes as `Evaluated`, with their derivatives if `gradient` is true.
+        """Return the log-densities of the modes as `Evaluated`, with their derivatives if `gradient` is True.
 
         Parameters
         ----------
-        seen : ModalPrediction, from `project`
-        noise : ndarray, shape (n, n_noise), the inferred standard deviations
+        seen : ModalPrediction
+            From `project`.
+        noise : ndarray, shape (n, n_noise)
+            Inferred standard deviations.
         gradient : bool
         """
         raise NotImplementedError
@@ -176,82 +181,87 @@ class ErrorTerm:
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None, FloatArray]:
-        """Return the derivatives of a function of the residuals' slopes with respect to the parameters.
+        """Return the parameter derivatives of a function of the residuals' slopes.
 
         The slopes are the derivatives of `residuals_within`.
 
         Parameters
         ----------
-        seen : ModalPrediction, with slopes
+        seen : ModalPrediction
+            With derivatives.
         noise : ndarray, shape (n, n_noise)
+            Inferred standard deviations.
         by_slope : ndarray, shape (n, n_modes, q, n_parameters)
-            Derivatives of the function with respect to the slopes of each residual.
+            Derivatives of the function with respect to each residual's slopes.
 
         Returns
         -------
         of_frequency, of_shape : ndarray, (n, n_modes, n_parameters) and (n, n_sensors, n_modes, n_parameters)
             Weights of the second derivatives of the frequencies and of the shapes; None if they have no effect.
         direct : ndarray, shape (n, n_modes, n_parameters)
-            The remainder: derivatives of the function with the slopes of all frequencies and shapes held fixed.
+            The remainder: derivatives of the function while the slopes of all frequencies and shapes stay fixed.
         """
         raise NotImplementedError
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; see `of_frequencies`."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; needs `of_frequencies`."""
         raise NotImplementedError
 
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added."""
+        """Return frequencies with only the inferred errors added, (n, n_modes), in Hz."""
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd of each measured frequency given the others, (n, n_modes); see `of_frequencies`."""
+        """Return mean and sd of each measured frequency given the others, (n, n_modes), in Hz.
+
+        Only if `of_frequencies` is True.
+        """
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals, mode by mode."""
+        """Return the residuals' names, mode by mode, given the mode names."""
         raise NotImplementedError
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information of the `used` modes on the inferred sds, shape (n, n_noise, n_noise)."""
+        """Return the Fisher information of the `used` modes on the inferred sds, shape (n, n_noise, n_noise)."""
         return self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict with the name of the error model under ``error``, and its settings."""
+        """Return a dict with the error model's name under ``error``, and its settings."""
         raise NotImplementedError
 
 
 class Likelihood:
     """The log-likelihood of the measured modes as a function of theta.
 
-    Here theta consists of the parameters of the model (with several tests, of the structure in each test: see
+    Here theta consists of the model's parameters (with several tests, the structural parameters in each test: see
     `fmu.posterior.joint.layout.Layout.of_model`), followed by the inferred standard deviations. The derivatives of
-    a value are with respect to the parameters in the test of this value, unless a `Chain` is given.
+    a value are with respect to the parameters in its own test, unless a `Chain` is given.
 
     Attributes
     ----------
     of_modes : bool
         Whether there is a residual per mode: `quadratic`, `residuals_and_slopes` and `labels` exist.
     needs_shapes : bool
-        Whether some of the errors are those of mode shapes.
+        Whether some of the errors are in mode shapes.
     simulates : bool
-        Whether the likelihood defines a distribution of the frequencies, so that measurements can be simulated.
+        Whether the likelihood defines a frequency distribution, so that measurements can be simulated.
     noise : tuple of Parameter
-        Standard deviations to be inferred: the last parameters of the problem.
+        Standard deviations to be inferred, the problem's last parameters.
     beta : ndarray, shape (n_modes,), or None
         β of eq. (4) for each mode, without correlations, if `error` is set or the error is the modal residual.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
-        The error model, if it is the only one, of absolute errors of frequencies with known standard deviations.
+        The error model, if it is the only one and has absolute frequency errors with known standard deviations.
     correlated : CorrelatedFrequencyTerm or None
-        The error model of frequencies whose errors have a covariance, also beside other error models.
+        The error model for frequencies whose errors have a covariance, even if there are other error models.
     terms_name : str
         Name of the terms in a trace.
     terms_of : tuple of ErrorTerm
-        The error models; empty if the errors are not those of measured quantities.
+        The error models; empty if the errors are not in measured quantities.
     chi_square : tuple of ErrorTerm
-        The error models whose squared residuals measure the fit of the model; see `ErrorTerm.is_chi_square`.
+        The error models whose squared residuals measure the model's fit; see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
     responses, every : tuple of FRFTerm, tuple of FRFsOfTest
@@ -259,8 +269,8 @@ class Likelihood:
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy, predictions_per_gradient, n_sizes : bool, int, int or None
-        Whether the model has errors of its own; how often a gradient solves for the modes and their derivatives;
-        number of inferred sizes of errors of modes, the last of `noise` (None without such errors).
+        Whether the model has a discrepancy; how often a gradient solves for the modes and their derivatives; and
+        the number of inferred discrepancy sds in the modes, the last of `noise` (None without them).
     """
 
     of_modes: bool = False
@@ -282,7 +292,7 @@ class Likelihood:
     n_sizes: int | None = None
 
     def using(self, used: IntArray | None) -> Self:
-        """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""
+        """Return the likelihood of only the modes with indices `used`; None selects all modes."""
         other = copy(self)
         other.used = used
         return other
@@ -293,20 +303,20 @@ class Likelihood:
 
     @property
     def frequency_term(self) -> ErrorTerm | None:
-        """The first error model of frequencies; None if there is no such error model."""
+        """The first error model for frequencies; None if there is none."""
         return next((term for term in self.terms_of if term.of_frequencies), None)
 
     @property
     def n_noise(self) -> int:
-        """Number of inferred standard deviations of errors of modes, the first of `noise`."""
+        """Number of inferred mode error sds, which come first in `noise`."""
         return len(self.noise)
 
     def easier(self) -> list[Likelihood]:
-        """Return likelihoods of the same parameters with fewer maxima, the easiest first, for a search."""
+        """Return likelihoods with the same parameters and fewer maxima, the easiest first, for a search."""
         return []
 
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
-        """Return the values of the used modes from an array with a value for each measured mode along `axis`."""
+        """Select the values for the used modes from an array with a value for each measured mode along `axis`."""
         return values if self.used is None else np.take(values, self.used, axis)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -314,16 +324,16 @@ class Likelihood:
         raise NotImplementedError
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta (n, ndim) that the error models need."""
+        """Return the modes that the error models need, predicted at theta (n, ndim)."""
         raise NotImplementedError
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the terms depend on the frequencies of the model alone."""
+        """Whether the log-likelihood depends on the computed frequencies alone."""
         return False
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the computed frequencies there, (n, n_modes), Hz.
+        """Return the log-likelihood terms at theta, given the computed frequencies there, (n, n_modes), Hz.
 
         The model is solved again only if the terms need more than the frequencies.
         """
@@ -332,7 +342,7 @@ class Likelihood:
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms of the modes, and the squared residuals under each error model of `chi_square`.
+        """Return the modes' log-likelihood terms, and the squared residuals under each `chi_square` error model.
 
         The terms have the shape (n, n_used), the squared residuals (n, n_kinds, n_used). If the computed
         frequencies, (n, n_modes) in Hz, are given and the terms need nothing else, the model is not solved again.
@@ -360,41 +370,41 @@ class Likelihood:
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the modes' names."""
+        """Return the residuals' names, in the order of `residuals_and_slopes`, given the mode names."""
         raise NotImplementedError
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of the measurement."""
+        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations."""
         raise NotImplementedError
 
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with measurement errors added; `noise` has the inferred sds.
+        """Return frequencies with measurement errors added, (n, n_modes), Hz; `noise` has the inferred sds.
 
         Raises
         ------
         ValueError
-            If the likelihood does not define a distribution of the frequencies.
+            If the likelihood does not define a frequency distribution.
         """
         raise ArgumentError("error", "must be a distribution of the frequencies to simulate them")
 
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added."""
+        """Return frequencies with only the inferred model errors added, (n, n_modes), in Hz."""
         return frequencies
 
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies plus any discrepancy of the model at theta, drawn afresh or given the data."""
+        """Return frequencies plus any model discrepancy at theta, drawn from its prior or given the data."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
-        """Return the reason why the terms are not finite at theta, shape (ndim,); None if they are finite."""
+        """Return the reason why the log-likelihood is not finite at theta (ndim,), or None if it is finite."""
         raise NotImplementedError
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of names and settings in plain Python types."""
+        """Return the names and settings as a dict of plain Python types."""
         raise NotImplementedError

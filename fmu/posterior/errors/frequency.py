@@ -1,4 +1,4 @@
-"""Error models of natural frequencies: the paper's (eq. 4 with the normaliser 5) and common variants of it."""
+"""Error models for natural frequencies: the paper's (eq. 4 with the normaliser 5) and common variants of it."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ Kind = Literal["absolute", "relative", "eigenvalue"]
 @check_arguments
 @dataclass(frozen=True)
 class FrequencyErrors:
-    """Gaussian errors of the frequencies, independent from mode to mode unless the data have a covariance.
+    """Gaussian frequency errors, independent from mode to mode unless the data have a covariance.
 
     Attributes
     ----------
     kind : {"absolute", "relative", "eigenvalue"}
-        ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative error of the eigenvalue. The first
-        two are normalised as densities of f^m in Hz, the last as a density of ε.
+        ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error. The first two are
+        normalised as densities of f^m in Hz, the last as a density of ε.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or inferred with its own prior. By default the standard deviation of the
-        data; if the data have a covariance, absolute errors are correlated.
+        Standard deviation of ε: known, or inferred with its own prior. By default the data's standard deviation;
+        if the data have a covariance, absolute errors are correlated.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     model_sd : Parameter, optional
@@ -59,7 +59,7 @@ class FrequencyErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`; see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel.bind`.
 
         Raises
         ------
@@ -89,25 +89,24 @@ class FrequencyErrors:
         return sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if `data` have standard deviations or a covariance of the frequencies."""
+        """Return True if `data` have standard deviations or a covariance for the frequencies."""
         return data.sd_hz is not None or data.covariance_hz2 is not None
 
 
 @dataclass(frozen=True)
 class BetaFrequencyErrors:
-    """The paper's error model: absolute errors with a trust β in the data, or with the uncertainty of the data.
+    """The paper's error model: absolute errors with a trust β in the data, or with the data's own uncertainty.
 
     Attributes
     ----------
     beta : float or array_like, shape (n_modes,), optional
-        β = 1/(2σ²), 1/Hz². Defaults to the uncertainty of the data or, if the data have none, to β = 1 as in the
-        paper.
+        β = 1/(2σ²), 1/Hz². Defaults to the data's uncertainty or, if the data have none, to β = 1 as in the paper.
     """
 
     beta: ArrayLike | None = None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`; see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel.bind`.
 
         Raises
         ------
@@ -125,7 +124,7 @@ class BetaFrequencyErrors:
 
 
 class FrequencyTerm(ErrorTerm):
-    """Independent Gaussian errors of frequencies: term i is log N(ε_i; 0, V_i), with ε of `FrequencyErrors`.
+    """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i), with ε as in `FrequencyErrors`.
 
     If all standard deviations are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and
     (5) with F = 1.
@@ -135,7 +134,7 @@ class FrequencyTerm(ErrorTerm):
     kind : {"absolute", "relative", "eigenvalue"}
     measured : ndarray, shape (n_modes,), Hz
     spread : Spread
-        Variances V of the errors, in Hz² or, for eigenvalues, dimensionless.
+        Error variances V, in Hz² or, for eigenvalues, dimensionless.
     beta : ndarray, shape (n_modes,), optional
         1/(2V), if β is given instead of standard deviations.
     """
@@ -154,7 +153,7 @@ class FrequencyTerm(ErrorTerm):
 
     @classmethod
     def of_beta(cls, measured: FloatArray, beta: ArrayLike = 1.0) -> FrequencyTerm:
-        """Return the term of absolute errors with the paper's β, one number or one per mode, 1/Hz².
+        """Return the term for absolute errors with the paper's β, one number or one per mode, 1/Hz².
 
         Raises
         ------
@@ -170,12 +169,12 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(1.0 / np.sqrt(2.0 * self.beta))
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the terms (n, n_modes) at frequencies (n, n_modes), Hz; standard deviations must be known."""
+        """Return each mode's log-density at frequencies (n, n_modes), Hz; standard deviations must be known."""
         with np.errstate(over="ignore"):
             return self._known_terms(self.errors(frequencies)[0])
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms; see `ErrorTerm`."""
+        """Return the log-density of each mode; see `ErrorTerm.evaluate`."""
         error, slope = self.errors(seen.frequencies)
         if self._rows is not None:
             beta = self._rows[1]
@@ -189,13 +188,13 @@ class FrequencyTerm(ErrorTerm):
         return Evaluated(terms, -error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals; see `ErrorTerm`."""
+        """Return the errors divided by their standard deviations; see `ErrorTerm.residuals`."""
         error, slope = self.errors(seen.frequencies)
         root = np.sqrt(2.0 * self.beta)[None] if self.is_known else 1.0 / np.sqrt(self.spread.variance(noise))
         return Residuals((root * error)[..., None], np.broadcast_to(root * slope, error.shape)[..., None])
 
     def slope_and_curvature(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ∂r/∂f, (n, n_modes) in 1/Hz, and ∂²r/∂f² in 1/Hz² of the residuals r."""
+        """Return the residuals' derivatives ∂r/∂f in 1/Hz and ∂²r/∂f² in 1/Hz², shape (n, n_modes) each."""
         root = 1.0 / np.sqrt(self.spread.variance(noise))
         bent = 2.0 / self.measured**2 if self.kind == "eigenvalue" else 0.0
         return root * self.errors(frequencies)[1], root * bent
@@ -203,13 +202,13 @@ class FrequencyTerm(ErrorTerm):
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray, None, FloatArray]:
-        """Return the derivatives of a function of the residuals' slopes; see `ErrorTerm`."""
+        """Return the parameter derivatives of a function of the residuals' slopes; see `ErrorTerm`."""
         slope, bent = self.slope_and_curvature(seen.frequencies, noise)
         own, J = by_slope[:, :, 0], np.asarray(seen.frequency_slopes)
         return slope[..., None] * own, None, (bent * np.sum(own * J, axis=2))[..., None] * J
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
+        """Return simulated measured frequencies for the computed ones, (n, n_modes), in Hz."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))
         error = sd * rng.standard_normal(frequencies.shape)
         if self.kind == "eigenvalue":
@@ -218,7 +217,7 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + error)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency; see `ErrorTerm`.
+        """Return the mean and standard deviation of each measured frequency in Hz; see `ErrorTerm`.
 
         Eigenvalue errors ε = (f/f^m)² − 1 are not Gaussian in f^m. Their standard deviation is converted to Hz
         such that (f − f^m) divided by it equals ε divided by the standard deviation of ε.
@@ -231,18 +230,18 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added."""
+        """Return frequencies with only the inferred errors added, (n, n_modes), in Hz."""
         if self.is_known:
             return frequencies
         inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))
         return FrequencyTerm(self.kind, self.measured, inferred).simulate(rng, frequencies, noise)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals; see `ErrorTerm`."""
+        """Return the residuals' names, mode by mode."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the error model."""
+        """Return the error model's name and settings as a dict."""
         return {"error": f"{self.kind} frequency", "spread": self.spread.as_dict()}
 
     def _known_terms(self, error: FloatArray) -> FloatArray:
@@ -266,9 +265,9 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     log P(D|θ) = Σ_i (−½ log 2π − log L_ii − ½ z_i²).
 
-    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m, the information of mode i in addition to the modes
-    before it. The single terms depend on the order of the modes; their sum does not. `project` replaces the
-    frequencies by z.
+    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m: the information that mode i adds to the modes
+    before it. The single terms depend on the mode order; their sum does not. `project` replaces the frequencies by
+    z.
 
     Parameters
     ----------
@@ -276,8 +275,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     covariance_hz2 : ndarray, shape (n_modes, n_modes), Hz²
     used : ndarray of int, optional
         Indices (from 0) of the modes whose density is wanted. L is then the Cholesky factor of Σ without the
-        covariances between these modes and the others, so that the terms of these modes sum to their marginal
-        log-density.
+        covariances between these modes and the others, so that their terms sum to their marginal log-density.
 
     Raises
     ------
@@ -286,8 +284,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     Notes
     -----
-    Products with L and L⁻¹ are accumulated column by column and not by BLAS, whose order of summation depends on
-    the number of theta in a batch.
+    Products with L and L⁻¹ are accumulated column by column, because BLAS sums in an order that depends on the
+    number of theta in a batch.
     """
 
     of_frequencies = is_least_squares = is_chi_square = True
@@ -314,20 +312,20 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     @property
     def couples_modes(self) -> bool:
-        """Return True: the term of a mode also depends on other modes."""
+        """Always True: a mode's log-density also depends on other modes."""
         return True
 
     @property
     def beta(self) -> FloatArray:
-        """β_i = 1/(2σ_i²) of each mode, shape (n_modes,), 1/Hz²; it does not contain the correlations."""
+        """β_i = 1/(2σ_i²) of each mode, shape (n_modes,), 1/Hz²; it ignores the correlations."""
         return np.asarray(0.5 / np.diag(self.covariance_hz2))
 
     def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
-        """Return the error term of the `used` modes, with the other modes marginalised out; see `ErrorTerm`."""
+        """Return the error term for the `used` modes, with the other modes marginalised out; see `ErrorTerm`."""
         return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the prediction with z in place of the frequencies, and L⁻¹ times their derivatives."""
+        """Return the prediction with z = L⁻¹ε in place of the frequencies, and L⁻¹ times their derivatives."""
         slopes, variance = seen.frequency_slopes, seen.frequency_variance
         by_variance = seen.frequency_variance_slopes
         squares = self._inverse_root**2  # the model's own errors of z are correlated; only variances are used
@@ -340,12 +338,12 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         )
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms; see `ErrorTerm`. Where a frequency is infinite, they may be NaN."""
+        """Return the log-density of each mode; see `ErrorTerm.evaluate`. Infinite frequencies may give NaN."""
         z = seen.frequencies
         return Evaluated(self._normaliser - 0.5 * z**2, -z if gradient else None)
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the terms (n, n_modes) at frequencies (n, n_modes), Hz."""
+        """Return the log-density of each mode, (n, n_modes), at frequencies (n, n_modes), Hz."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(self._normaliser - 0.5 * self._standardise(frequencies) ** 2)
 
@@ -362,25 +360,25 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency given the others; see `ErrorTerm`."""
+        """Return the mean and sd of each measured frequency given the others, in Hz; see `ErrorTerm`."""
         c = np.sum(self._inverse_root**2, axis=0)
         g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals z; see `ErrorTerm`."""
+        """Return the residuals z = L⁻¹ε; see `ErrorTerm.residuals`."""
         return Residuals(seen.frequencies[..., None], np.ones_like(seen.frequencies)[..., None])
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
+        """Return simulated measured frequencies for the computed ones, (n, n_modes), in Hz."""
         return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals; see `ErrorTerm`."""
+        """Return the residuals' names, mode by mode."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the error model."""
+        """Return the error model's name and settings as a dict."""
         return {"error": "frequency", "covariance_hz2": self.covariance_hz2.tolist()}
 
     def _standardise(self, frequencies: FloatArray) -> FloatArray:

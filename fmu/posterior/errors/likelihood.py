@@ -1,4 +1,4 @@
-"""The likelihood of the measured modes as a sum over error models, with known or inferred standard deviations."""
+"""Likelihood of the measured modes as a sum over error models, with known or inferred standard deviations."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class ModalLikelihood(Likelihood):
-    """The log-likelihood as the sum of the log-densities of independent error models.
+    """The log-likelihood as a sum of log-densities of independent error models.
 
     Parameters
     ----------
     model : ModalModel
-        A function of the leading parameters. It must compute shapes if there are errors of shapes.
+        A function of the leading parameters. It must compute shapes if there are shape errors.
     data : ModalData
     errors : sequence of ErrorModel
     quantities : sequence of QuantityTerm
-        Measured quantities other than modes. Their terms follow the terms of the modes.
+        Measured quantities other than modes. Their terms follow the modes' terms.
 
     Raises
     ------
     ValueError
-        If there is no error model, an error model does not fit the data, the model does not compute the shapes
-        that are needed, or two different parameters share a name.
+        If there is no error model, an error model does not fit the data, the model does not compute the required
+        shapes, or two different parameters share a name.
     """
 
     of_modes = True
@@ -73,7 +73,7 @@ class ModalLikelihood(Likelihood):
         self._fast = self._choose_fast_path()
 
     def using(self, used: IntArray | None) -> Self:
-        """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""
+        """Return the likelihood of only the modes with indices `used`; None selects all modes."""
         other = super().using(used)
         other.terms_of = tuple(term.among(used) for term in self.terms_of)
         if self.chi_square:
@@ -91,12 +91,12 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error` if it allows a faster evaluation at a single theta; None for an uncertain model."""
+        """Return `error` if it allows a faster evaluation at a single theta, or None for an uncertain model."""
         return None if self.model.is_uncertain else self.error
 
     @property
     def correlated(self) -> CorrelatedFrequencyTerm | None:
-        """The error model of frequencies whose errors have a covariance; None if there is no such error model."""
+        """The error model for frequencies whose errors have a covariance; None if there is none."""
         return next((term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm)), None)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -107,26 +107,26 @@ class ModalLikelihood(Likelihood):
         return np.asarray(terms if not self.quantities else self._with_quantities(terms, theta))
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the `terms` at theta (n, ndim), given the prediction of the modes there."""
+        """Return the `terms` at theta (n, ndim), given the predicted modes there."""
         parts = self._parts(seen, theta, gradient=False)[1]
         return self._with_quantities(self.of_used(np.asarray(sum(part.terms for part in parts))), theta)
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the terms depend on the frequencies of the model alone."""
+        """Whether the log-likelihood depends on the computed frequencies alone."""
         return not (self.needs_shapes or self.model.is_uncertain)
 
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the `terms` of the modes and the `misfit` from the same solves; see `Likelihood`."""
+        """Return the modes' `terms` and their `misfit` from the same solves; see `Likelihood`."""
         is_enough = self.by_frequencies and frequencies is not None
         seen = without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the sums of squared residuals by model of `chi_square` and used mode, (n, n_kinds, n_used)."""
+        """Return each used mode's sum of squared residuals under each `chi_square` model, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -146,16 +146,17 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the computed frequencies there; see `Likelihood`."""
+        """Return the log-likelihood terms at theta, given the computed frequencies; see `Likelihood`."""
         if not self.by_frequencies:
             return self.terms(theta)
         return self.terms_of_observed(without_shapes(frequencies), theta)
 
     def sensitivity_to_model(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the sensitivity of the log-likelihood to errors of an uncertain model at theta (n, ndim).
+        """Return the sensitivity of the log-likelihood to an uncertain model's errors, at theta (n, ndim).
 
-        The arrays of `fmu.posterior.errors.surrogate_variance.sensitivity_to_model`, (n, n_modes) for frequencies
-        and (n, n_sensors, n_modes) for shapes, are summed over the error models; modes not used have zeros.
+        The arrays from `fmu.posterior.errors.surrogate_variance.sensitivity_to_model`, (n, n_modes) for
+        frequencies and (n, n_sensors, n_modes) for shapes, are summed over the error models; unused modes have
+        zeros.
         """
         seen, noise = self.observed(theta), theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -170,13 +171,13 @@ class ModalLikelihood(Likelihood):
         """Return all errors divided by their standard deviations (the residuals), and their derivatives.
 
         The residuals have the shape (n, n_residuals), the derivatives (n, n_residuals, n_structural). Gauss–Newton
-        steps and the linearised information of the data are computed from them. Inferred standard deviations are
-        held fixed.
+        steps and the data's linearised information are computed from them. Inferred standard deviations stay
+        fixed.
         """
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the modes' names."""
+        """Return the residuals' names, in the order of `residuals_and_slopes`, given the mode names."""
         modes = tuple(map(str, self.of_used(np.array(modes))))
         others = tuple(label for term in self.quantities for label in term.labels)
         if self.error is not None:
@@ -184,7 +185,7 @@ class ModalLikelihood(Likelihood):
         return tuple(label for term in self.terms_of for label in term.labels(modes)) + others
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of the measurement.
+        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations.
 
         Parameters
         ----------
@@ -201,12 +202,12 @@ class ModalLikelihood(Likelihood):
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with errors from the first error model of frequencies added.
+        """Return frequencies (n, n_modes), Hz, with errors from the first frequency error model added.
 
         Raises
         ------
         ValueError
-            If the errors are of shapes alone, or standard deviations are inferred and `noise` (n, n_noise) is not
+            If there are only shape errors, or standard deviations are inferred and `noise` (n, n_noise) is not
             given.
         """
         if self.frequency_term is None:
@@ -216,7 +217,7 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added.
+        """Return frequencies with only the inferred model errors added, (n, n_modes), in Hz.
 
         Raises
         ------
@@ -232,8 +233,8 @@ class ModalLikelihood(Likelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The information on the model's parameters is JᵀJ, with the Jacobian J of the residuals. The information on
-        the inferred standard deviations is Fisher's.
+        The information on the model's parameters is JᵀJ, where J is the Jacobian of the residuals. The information
+        on the inferred standard deviations is Fisher's.
         """
         seen = self._observed_slopes(theta, chain)
         r, J = self._all_residuals_and_slopes(seen, theta, chain)
@@ -246,7 +247,7 @@ class ModalLikelihood(Likelihood):
         return value, gradient, self._information(J, theta)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
-        """Return the reason why the terms are not finite at theta, shape (ndim,); None if they are finite."""
+        """Return the reason why the log-likelihood is not finite at theta (ndim,), or None if it is finite."""
         found = why_no_frequencies(self.model, theta[: self.model.n_parameters])
         if found is not None:
             return found
@@ -263,7 +264,7 @@ class ModalLikelihood(Likelihood):
         return None
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of names and settings in plain Python types."""
+        """Return the names and settings as a dict of plain Python types."""
         found = self._of_modes_as_dict()
         return found | ({"quantities": [term.as_dict() for term in self.quantities]} if self.quantities else {})
 
@@ -275,7 +276,7 @@ class ModalLikelihood(Likelihood):
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
-        """Return the list of pairs of the name of an error model and its terms, (n, n_used)."""
+        """Return pairs of an error model's name and its log-likelihood terms, (n, n_used)."""
         parts = self._parts(self.observed(theta, False), theta, gradient=False)[1]
         described = self._of_modes_as_dict()
         dicts = [described] if "error" in described else [term.as_dict() for term in self.terms_of]
@@ -288,7 +289,7 @@ class ModalLikelihood(Likelihood):
         return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted frequencies at theta (n, ndim), with the shapes if some errors are of shapes."""
+        """Return the predicted frequencies at theta (n, ndim), with mode shapes if some errors are in shapes."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
@@ -312,7 +313,10 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with slopes over theta, or without a `chain` over each test's parameters."""
+        """Return the predicted modes with derivatives with respect to theta.
+
+        Without a `chain` the derivatives are with respect to each test's own parameters.
+        """
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 
@@ -331,7 +335,7 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta, chain)
 
     def _with_quantities(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms of the modes (n, n_used) followed by the terms of the quantities."""
+        """Return the modes' terms (n, n_used) followed by the quantities' terms."""
         if not self.quantities:
             return terms
         structural = theta[:, : self.n_structural]

@@ -1,4 +1,4 @@
-"""The error model of 1 − MAC, for single modes or for the subspace that closely spaced modes span."""
+"""Error model for 1 − MAC, for single modes or for the subspace that closely spaced modes span."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Groups = tuple[tuple[int, ...], ...]
 class MACErrors:
     """Half-Gaussian errors ε = 1 − MAC at the sensors.
 
-    The density is normalised for ε on [0, 1]. It is a convention of the field rather than a model of measurement
+    The density is normalised for ε on [0, 1]. It is a convention in the field rather than a model of measurement
     noise: noise with the standard deviation σ at q sensors gives 1 − MAC ≈ (q − 1) σ², which `ShapeErrors` models.
 
     Attributes
@@ -42,8 +42,8 @@ class MACErrors:
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     together : sequence of sequence of str
         Groups of modes, given by their labels, whose frequencies are too close for their shapes to be distinct,
-        such as the pairs of a nearly symmetric structure. Each mode is compared with the subspace that the
-        computed modes of its group span, which does not depend on the rotation of the shapes in it (`in_span`).
+        such as the pairs of a nearly symmetric structure. Each mode is compared with the subspace that its group's
+        computed modes span, which does not depend on how the shapes are rotated within it (`in_span`).
     """
 
     sd: ArrayLike | Parameter
@@ -54,7 +54,7 @@ class MACErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`; see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel.bind`.
 
         Raises
         ------
@@ -72,13 +72,13 @@ class MACErrors:
         return sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return False: `data` have no standard deviations of MAC values."""
+        """Return False, because `data` never have standard deviations of MAC values."""
         return False
 
 
 @dataclass(frozen=True, eq=False)
 class MACTerm(ErrorTerm):
-    """Errors 1 − MAC; `unit` holds the measured shapes of unit length, shape (n_sensors, n_modes)."""
+    """Errors 1 − MAC; `unit` is the array of measured unit-length shapes, (n_sensors, n_modes)."""
 
     unit: FloatArray
     spread: Spread
@@ -97,7 +97,7 @@ class MACTerm(ErrorTerm):
         return in_span(seen, self.unit, self.groups) if self.groups else seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms; see `ErrorTerm`."""
+        """Return the log-density of each mode; see `ErrorTerm.evaluate`."""
         error, slope = self._errors(seen.shapes)
         V = self.spread.variance(noise)
         z = 1.0 / np.sqrt(2.0 * V)
@@ -109,17 +109,17 @@ class MACTerm(ErrorTerm):
         return Evaluated(terms, None, (-error / V)[:, None] * slope, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals; see `ErrorTerm`."""
+        """Return the errors divided by their standard deviations; see `ErrorTerm.residuals`."""
         error, slope = self._errors(seen.shapes)
         sd = np.sqrt(self.spread.variance(noise))
         return Residuals((error / sd)[..., None], None, np.swapaxes(slope / sd[:, None], 1, 2)[:, :, None])
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals; see `ErrorTerm`."""
+        """Return the residuals' names, mode by mode."""
         return [f"{mode}, MAC" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the error model."""
+        """Return the error model's name and settings as a dict."""
         together = {"together": [list(group) for group in self.groups]} if self.groups else {}
         return {"error": "MAC", "spread": self.spread.as_dict(), **together}
 
@@ -131,7 +131,7 @@ class MACTerm(ErrorTerm):
 
 
 def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensors: int) -> Groups:
-    """Return groups of modes as tuples of indices (from 0), given the groups of labels.
+    """Convert groups of mode labels to tuples of mode indices (from 0).
 
     Raises
     ------
@@ -155,22 +155,22 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
 
 
 def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPrediction:
-    """Return the prediction with each shape of a group replaced by the projection of the measured shape.
+    """Return the prediction with each shape in a group replaced by a projection of the measured shape.
 
-    The measured shape u_i is projected onto the span of the computed shapes S of the group: with
-    P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i. The MAC of P u_i with u_i is ‖P u_i‖², whatever basis of
-    the span the eigensolver returned (cf. D'Ambrogio & Fregolent 2003, Higher-order MAC for the correlation of
-    close and multiple modes, *Mech. Syst. Signal Process.* 17). The derivative of P u is
-    ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u. Rotations of the shapes within their span cancel, so the derivative
-    remains of order one through a veering.
+    The measured shape u_i is projected onto the span of the group's computed shapes S: with P = S (SᵀS)⁻¹ Sᵀ, the
+    shape of mode i becomes P u_i. The MAC of P u_i with u_i is ‖P u_i‖², whatever basis of the span the
+    eigensolver returned (cf. D'Ambrogio & Fregolent 2003, Higher-order MAC for the correlation of close and
+    multiple modes, *Mech. Syst. Signal Process.* 17). The derivative of P u is ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I
+    − P) u. Rotations of the shapes within their span cancel, so the derivative remains of order one through a
+    veering.
 
     Parameters
     ----------
     seen : ModalPrediction
     unit : ndarray, shape (n_sensors, n_modes)
-        Measured shapes of unit length.
+        Measured unit-length shapes.
     groups : tuple of tuple of int
-        Indices of the modes of each group.
+        Mode indices in each group.
     """
     shapes = seen.shapes.copy()
     slopes = None if seen.shape_slopes is None else seen.shape_slopes.copy()

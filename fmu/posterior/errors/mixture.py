@@ -1,4 +1,4 @@
-"""The likelihood of the soft pairing, a mixture without the jumps of a one-to-one pairing of modes."""
+"""Likelihood for soft pairing, a mixture that does not jump as one-to-one mode pairing does."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class _Pairs(NamedTuple):
     log_weight, log_density : ndarray
         log w_ik and log p(measured mode i | candidate k).
     of : list of Evaluated
-        Log-densities of the pairs from each error model, with n·k rows.
+        The pairs' log-densities from each error model, with n·k rows.
     """
 
     log_weight: FloatArray
@@ -33,24 +33,24 @@ class _Pairs(NamedTuple):
 
     @property
     def terms(self) -> FloatArray:
-        """The log-likelihood of each measured mode, shape (n, m)."""
+        """Log-likelihood of each measured mode, shape (n, m)."""
         return _log_sum_exp(self.log_weight + self.log_density)
 
     @property
     def responsibility(self) -> FloatArray:
-        """Share of each candidate in the likelihood of a measured mode, (n, k, m); the sum over k is 1."""
+        """Each candidate's share in a measured mode's likelihood, (n, k, m); the sum over k is 1."""
         return np.exp(self.log_weight + self.log_density - self.terms[:, None])
 
 
 class MixtureLikelihood(ModalLikelihood):
-    """The likelihood of each measured mode as a mixture over the computed modes that may correspond to this mode.
+    """Likelihood in which each measured mode is a mixture over the computed modes that may correspond to it.
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
     The candidates k are the lowest modes of all blocks in which a measured shape has motion
     (`fmu.fem.pairing.prediction.predict_candidates`). The weights depend on the computed shapes and thus on θ; the
-    gradient contains the derivatives of the weights. Where two modes of a block veer, their shapes and thus this
-    likelihood change continuously, whereas the likelihood of a one-to-one pairing jumps.
+    gradient includes their derivatives. Where two modes of a block veer, their shapes and thus this likelihood
+    change continuously, whereas the likelihood of a one-to-one pairing jumps.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ class MixtureLikelihood(ModalLikelihood):
         A model with soft pairing; a function of the leading parameters.
     data : ModalData
     errors : sequence of ErrorModel
-        Error models with errors that are independent from mode to mode.
+        Error models whose errors are independent from mode to mode.
 
     Raises
     ------
     ValueError
-        If the errors of an error model depend on several modes (a covariance, or groups of modes).
+        If an error model's errors depend on several modes (a covariance, or groups of modes).
 
     Notes
     -----
@@ -72,14 +72,14 @@ class MixtureLikelihood(ModalLikelihood):
     - A candidate whose MAC is lower than the highest MAC by Δ has the relative weight e^(−Δ/τ). With the default
       τ = 0.02 its log-weight is lower by at most 50 nats. If frequencies are measured so accurately that a wrong
       frequency costs more, another mode with a matching frequency but a wrong shape becomes plausible: then reduce
-      τ or add errors of shapes. In the limit τ → 0 the candidate of the highest MAC is selected.
-    - With errors of frequencies alone, the likelihood is a density of the frequencies, given the measured shapes.
-      With errors of shapes, the weights use the measured shapes a second time, and the likelihood is no longer a
-      density: evidences of problems with different softness must not be compared.
-    - ``frequencies`` of the model are still those of the one-to-one assignment, which jump at a veering, since a
+      τ or add shape errors. In the limit τ → 0 the candidate with the highest MAC is selected.
+    - With frequency errors alone, the likelihood is a density of the frequencies, given the measured shapes.
+      With shape errors, the weights use the measured shapes a second time, and the likelihood is no longer a
+      density: do not compare evidences of problems with different softness.
+    - The model's ``frequencies`` still come from the one-to-one assignment, which jumps at a veering, since a
       mean over candidates is not the frequency of any mode.
-    - The candidates of a block end with the highest mode computed. Where this mode veers with the next, a jump of
-      the size of its weight remains.
+    - A block's candidates end with the highest mode computed. Where this mode veers with the next, a jump of
+      that weight remains.
     """
 
     model: PairedStructure
@@ -104,15 +104,15 @@ class MixtureLikelihood(ModalLikelihood):
         return self.of_used(self._pairs(self._candidates(theta, False), theta, False).terms)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_used, ndim)."""
+        """Return the log-likelihood of each used mode, (n, n_used), and its gradient, (n, n_used, ndim)."""
         candidates = self._candidates(theta, True)
         return self._mix(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives for the candidates of the highest MAC; see `ModalLikelihood`.
+        """Return the residuals and their derivatives for the candidates with the highest MAC.
 
         These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
-        other candidates contribute more to the likelihood.
+        other candidates contribute more to the likelihood. See `ModalLikelihood` for the shapes.
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))
@@ -133,7 +133,7 @@ class MixtureLikelihood(ModalLikelihood):
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of names and settings in plain Python types."""
+        """Return the names and settings as a dict of plain Python types."""
         return {**super().as_dict(), "softness": self.softness}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
@@ -160,7 +160,7 @@ class MixtureLikelihood(ModalLikelihood):
         return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
 
     def _mix(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms of the used modes (n, n_used) and their gradients (n, n_used, ndim)."""
+        """Return the used modes' log-likelihood terms (n, n_used) and their gradients (n, n_used, ndim)."""
         n, k, m = pairs.log_weight.shape
         n_structural = self.n_structural
         terms = pairs.terms
@@ -187,12 +187,12 @@ class MixtureLikelihood(ModalLikelihood):
 
 
 def _best(score: FloatArray) -> IntArray:
-    """Return the index of the candidate with the highest score, (n, k, m), for each measured mode, (n, m)."""
+    """Return the index (n, m) of the highest-scoring candidate for each measured mode; `score` is (n, k, m)."""
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 
 def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
-    """Return the prediction from one candidate for each measured mode, index `best` (n, m), with derivatives."""
+    """Return the prediction, with derivatives, from candidate `best` (n, m) for each measured mode."""
     of: Any = candidates
     return ModalPrediction(
         np.take_along_axis(of.frequencies, best, axis=1),
@@ -203,7 +203,7 @@ def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
 
 
 def _log_sum_exp(x: FloatArray) -> FloatArray:
-    """Return log Σ_k exp x of x (n, k, m), shape (n, m); −inf where x is −inf for all k."""
+    """Return log Σ_k exp x for x (n, k, m), shape (n, m); −inf where x is −inf for all k."""
     highest = np.max(x, axis=1)
     shift = np.where(np.isneginf(highest), 0.0, highest)
     with np.errstate(divide="ignore"):
@@ -211,5 +211,5 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
 
 
 def _multiply(share: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return share · slope, and 0 where the share is 0, because the slope of a distant candidate may not exist."""
+    """Return share · slope, and 0 where the share is 0, because a distant candidate's slope may not exist."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

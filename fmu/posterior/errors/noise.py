@@ -1,4 +1,4 @@
-"""Standard deviations of errors that are known, inferred together with the parameters, or both."""
+"""Error standard deviations that are known, inferred together with the parameters, or both."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OLD_NAMES = {"discrepancy": "model_sd"}
 
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:
-    """Return a function that gives the index of a parameter in `noise`, and appends it if it is missing."""
+    """Return a function that gives a parameter's index in `noise`, and appends it if it is missing."""
 
     def index(parameter: Parameter) -> int:
         if parameter not in noise:
@@ -37,14 +37,14 @@ def numbering(noise: list[Parameter]) -> NoiseIndex:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The variances V = fixed² + Σ_k (noise_k · size_k)² of sums of independent errors.
+    """Variances V = fixed² + Σ_k (noise_k · size_k)² of sums of independent errors.
 
     Attributes
     ----------
     fixed : ndarray, any shape
         Known standard deviations.
     sizes : mapping of int to ndarray of the same shape
-        Factors size_k of the inferred standard deviation with the index k, for each error.
+        For each inferred standard deviation, keyed by its index k, its factor size_k on each error.
     """
 
     fixed: FloatArray
@@ -58,14 +58,14 @@ class Spread:
         return np.asarray(value)
 
     def slopes(self, noise: FloatArray) -> dict[int, FloatArray]:
-        """Return a dict from the index k of each inferred standard deviation to ∂V/∂noise_k, shape (n, *shape)."""
+        """Return ∂V/∂noise_k, shape (n, *shape), keyed by the index k of each inferred standard deviation."""
         return {k: 2.0 * _column(noise, k, size.ndim) * size**2 for k, size in self.sizes.items()}
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information on the inferred standard deviations, shape (n, n_noise, n_noise).
+        """Return the Fisher information on the inferred standard deviations, shape (n, n_noise, n_noise).
 
         For Gaussian errors it is Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V². The sum is over all errors, or over the errors
-        of the `used` modes, which are indices into the last axis.
+        in the `used` modes, which are indices into the last axis.
         """
         n, n_noise = noise.shape
         V = self.variance(noise)
@@ -78,7 +78,7 @@ class Spread:
         return found
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the known standard deviations and the factors, in plain Python types."""
+        """Return the known standard deviations and the factors as a dict of plain Python types."""
         return {
             "fixed": self.fixed.tolist(),
             "inferred": {str(k): size.tolist() for k, size in self.sizes.items()},
@@ -92,7 +92,7 @@ def spread(
     size: FloatArray,
     index: NoiseIndex,
 ) -> Spread:
-    """Return the variances of the errors of one error model, as a `Spread`.
+    """Return one error model's variances as a `Spread`.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def spread(
 
 
 def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -> None:
-    """Raise ValueError unless standard deviations and weights given as numbers are positive and finite."""
+    """Raise ValueError unless all numbers in `sd` and `weights` are positive and finite."""
     for name, value in (("sd", sd), ("weights", weights)):
         if value is not None and parameter_in(value) is None:
             require(name, value, Annotated[Numbers, Gt(0.0)])
@@ -150,7 +150,7 @@ def _column(noise: FloatArray, k: int, ndim: int) -> FloatArray:
 
 
 def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
-    """Return β of every mode, shape (n_modes,); ValueError if a β is not positive and finite."""
+    """Return β of every mode, shape (n_modes,); raise ValueError if a β is not positive and finite."""
     array = np.array(beta, dtype=float)
     if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
         raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")

@@ -1,4 +1,4 @@
-"""Error models of weighed masses and static displacements, data that separate stiffness from mass.
+"""Error models for weighed masses and static displacements, data that separate stiffness from mass.
 
 Frequencies alone determine only ratios of stiffness to mass. A weighed mass, a centre of gravity or a static
 displacement is a further datum with a Gaussian error. Its computed value is an exact function of theta
@@ -27,7 +27,7 @@ _AXES = ("x", "y", "z")
 
 
 class QuantityTerm(NamedTuple):
-    """Measured quantities of a structure other than modes, with the function that computes them.
+    """Measured structural quantities other than modes, with the function that computes them.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class QuantityTerm(NamedTuple):
     measured, sd : ndarray, shape (q,)
     computed : callable
         Returns the computed values (n, q) for model parameters (n, n_structural) and, if the second argument is
-        true, their derivatives.
+        True, their derivatives.
     test : int
         Index of the test in which the quantities were measured.
     """
@@ -48,7 +48,7 @@ class QuantityTerm(NamedTuple):
     test: int = 0
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-densities of the q quantities, shape (n, q)."""
+        """Return the log-densities of the q measured quantities, shape (n, q)."""
         z = (self.measured - self.computed(theta)[0]) / self.sd
         return np.asarray(-0.5 * z**2 - np.log(self.sd) - 0.5 * LOG_2PI)
 
@@ -58,7 +58,7 @@ class QuantityTerm(NamedTuple):
         return (values - self.measured) / self.sd, slopes / self.sd[:, None]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of labels, units, measured values and standard deviations, in plain Python types."""
+        """Return labels, units, measured values and standard deviations as a dict of plain Python types."""
         return {
             "error": "quantity",
             "labels": list(self.labels),
@@ -69,29 +69,29 @@ class QuantityTerm(NamedTuple):
 
 
 class QuantityErrors:
-    """The settings of the errors of measured quantities other than modes."""
+    """Error settings for measured quantities other than modes."""
 
     sd: ClassVar[Any] = None
     test: str | None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Raise ValueError: these errors are bound to the structure by `bind_structure`, not to modal data."""
+        """Raise ValueError, because these errors are bound to the structure by `bind_structure`, not to modes."""
         raise ArgumentError("error", f"{type(self).__name__} must be given to a problem of a SeparableModel")
 
     def n_errors(self, data: ModalData) -> int:
-        """Return 0: there are no errors of modes."""
+        """Return 0, because these are not errors in modes."""
         return 0
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return False: `data` are modal data."""
+        """Return False, because `data` are modal data."""
         return False
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with names of places replaced by nodes of the model."""
+        """Return the same settings with place names replaced by nodes of the model."""
         return self
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return the measured quantities bound to the model and the parameters of a structure.
+        """Return the measured quantities bound to a structure's model and parameters.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class QuantityErrors:
 @check_arguments
 @dataclass(frozen=True)
 class MassErrors(QuantityErrors):
-    """The weighed mass of the structure and, if it was measured, its centre of gravity, with Gaussian errors.
+    """The structure's weighed mass and, if it was measured, its centre of gravity, with Gaussian errors.
 
     Attributes
     ----------
@@ -113,15 +113,15 @@ class MassErrors(QuantityErrors):
     sd : float, kg
         Standard deviation of the mass.
     centre : tuple of float, length 3, optional, m
-        The centre of gravity in the coordinates of the model. The model must have the coordinates of all nodes.
+        The centre of gravity in the model's coordinates. The model must have the coordinates of all nodes.
     centre_sd : float, optional, m
         Standard deviation of each coordinate of the centre of gravity.
     at_supports : float, kg
         Part of the weighed mass that the model omits because the supports fix it, such as half of the lowest
         columns; 0 for a free structure. `centre` must be the centre of gravity of the remaining mass.
     test : str, optional
-        With several tests, the name of the test in which the mass was measured. The mass is computed with the
-        changes and parameters of that test.
+        With several tests, the name of the test in which the mass was measured. The mass is computed with that
+        test's changes and parameters.
 
     Raises
     ------
@@ -168,7 +168,7 @@ class StaticErrors(QuantityErrors):
     Attributes
     ----------
     force : tuple of (place, direction)
-        Place and direction of the load, in the notation of a sensor.
+        Place and direction of the load, written like a sensor.
     load : float, N (N·m about rx, ry, rz)
         The load, positive along the direction.
     displacement : float, m (rad about rx, ry, rz)
@@ -176,10 +176,10 @@ class StaticErrors(QuantityErrors):
     sd : float, m (rad)
         Standard deviation of the displacement.
     at : tuple of (place, direction), optional
-        Place and direction of the displacement; by default those of the load.
+        Place and direction of the displacement; by default the same as the load's.
     test : str, optional
         With several tests, the name of the test in which the displacement was measured. The displacement is
-        computed with the changes and parameters of that test.
+        computed with that test's changes and parameters.
 
     Raises
     ------
@@ -201,7 +201,7 @@ class StaticErrors(QuantityErrors):
                 raise ArgumentError(name, f"must be a finite number{', not 0' * (name == 'load')}", value)
 
     def at_places(self, places: Mapping[str, Any]) -> StaticErrors:
-        """Return the same settings with names of places replaced by nodes of the model."""
+        """Return the same settings with place names replaced by nodes of the model."""
 
         def replace_name(place: tuple[int | str, str]) -> tuple[Any, str]:
             return places.get(str(place[0]), place[0]), place[1]

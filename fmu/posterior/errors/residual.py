@@ -1,4 +1,4 @@
-"""The modal residual of eq. (2) as an error model."""
+"""The modal residual in eq. (2) as an error model."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class ModalResidual(Likelihood):
     -----
     This is a *pseudo*-likelihood: ε combines data and model and is not the error of any measured quantity, and the
     density increases as K and M are scaled down together, if the parameters allow that. The fixed scale
-    ‖K_c(θ_ref) φ_i‖ makes modes of different frequency comparable and β dimensionless, but does not remove this
-    defect. No evidence may be computed from a pseudo-likelihood. The modal residual needs no pairing of modes and
+    ‖K_c(θ_ref) φ_i‖ makes modes with different frequencies comparable and β dimensionless, but does not remove
+    this defect. Do not compute an evidence from a pseudo-likelihood. The modal residual needs no mode pairing and
     no eigenproblem, but one factorisation of the stiffness at the unmeasured degrees of freedom for each theta.
     """
 
@@ -95,7 +95,7 @@ class ModalResidual(Likelihood):
         return "the log-likelihood is not finite: the modal residual overflows"
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the error model."""
+        """Return the error model's name and settings as a dict."""
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
 
     def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
@@ -109,11 +109,11 @@ class ModalResidual(Likelihood):
         return 0.5 * self._n_sensors * np.log(self.beta / np.pi) - self.beta * size
 
     def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their adjoint gradients at a single theta; NaN if the condensation fails.
+        """Return the log-likelihood terms and their gradients at a single theta; NaN if condensation fails.
 
         T is the static condensation, u = Tφ, r = Tᵀ(K − ω²M)u and w = Tr. From dT_s = −K_ss⁻¹ (dK T)_s follows
         rᵀdr = wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements under the loads Mu and Mw
-        with the sensors fixed.
+        with the sensors fixed (adjoint method).
         """
         slope = np.full((len(self.beta), theta.shape[1]), np.nan)
         try:

@@ -1,4 +1,4 @@
-"""The error model of mode shapes at the sensors."""
+"""Error model for mode shapes at the sensors."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from fmu.types import FloatArray, IntArray, Plain
 @check_arguments
 @dataclass(frozen=True)
 class ShapeErrors:
-    """Gaussian errors of the mode shapes, scaled to unit length at the sensors.
+    """Gaussian errors in the mode shapes, scaled to unit length at the sensors.
 
-    The error is ε = u − aφ, with the measured shape u of unit length, the computed shape φ and the scale a that
-    fits best. With the precisions Λ = diag(1/σ_s²) of the q sensors,
+    The error is ε = u − aφ, with the measured unit-length shape u, the computed shape φ and the best-fitting scale
+    a. With the precisions Λ = diag(1/σ_s²) of the q sensors,
 
     log p = −½ εᵀΛε + ½ log det Λ − ½ log(φᵀΛφ / φᵀφ) − ½ (q − 1) log 2π.
 
-    This is the Gaussian density of the direction of u relative to that of φ: the component along φ, which depends
+    This is the Gaussian density of u's direction relative to φ's direction: the component along φ, which depends
     on the scale alone, is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). The density
     has q − 1 dimensions. With one σ for all sensors, εᵀΛε = (1 − MAC)/σ². The signs and scales of shapes have no
     effect.
@@ -38,11 +38,11 @@ class ShapeErrors:
     Attributes
     ----------
     sd : float, array_like of shape (n_modes,) or (n_sensors, n_modes), or Parameter, optional
-        Standard deviation of a component of a shape of unit length; by default the standard deviation of the data.
+        Standard deviation of a component of a unit-length shape; by default the data's standard deviation.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variances of mode i are sd²/w_i.
     model_sd : Parameter, optional
-        Standard deviation of the model error of a component of a shape of unit length, to be inferred.
+        Standard deviation of the model error in a component of a unit-length shape, to be inferred.
     """
 
     sd: ArrayLike | Parameter | None = None
@@ -53,7 +53,7 @@ class ShapeErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`; see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel.bind`.
 
         Raises
         ------
@@ -67,17 +67,17 @@ class ShapeErrors:
         return ShapeTerm(unit, spread("shape errors", sd, self.model_sd, size, index))
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the total number of shape components of all used modes."""
+        """Return the total number of shape components in all used modes."""
         return 0 if data.shapes is None else len(np.asarray(data.shapes)) * sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if `data` have standard deviations of the shapes."""
+        """Return True if `data` have standard deviations for the shapes."""
         return data.shapes_sd is not None
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeTerm(ErrorTerm):
-    """Errors of shapes; `unit` holds the measured shapes of unit length, shape (n_sensors, n_modes)."""
+    """Errors in mode shapes; `unit` is the array of measured unit-length shapes, (n_sensors, n_modes)."""
 
     unit: FloatArray
     spread: Spread
@@ -96,7 +96,7 @@ class ShapeTerm(ErrorTerm):
         return len(self.unit) - 1
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms; see `ErrorTerm`."""
+        """Return the log-density of each mode; see `ErrorTerm.evaluate`."""
         s, u = seen.shapes, self.unit
         Lam = 1.0 / self.spread.variance(noise)
         weighted, size = np.sum(Lam * s**2, axis=1), np.sum(s**2, axis=1)
@@ -112,7 +112,7 @@ class ShapeTerm(ErrorTerm):
         return Evaluated(terms, None, by_shape, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals; see `ErrorTerm`."""
+        """Return the errors divided by their standard deviations; see `ErrorTerm.residuals`."""
         s, u = seen.shapes, self.unit
         root = 1.0 / np.sqrt(self.spread.variance(noise))
         Lam = root**2
@@ -141,7 +141,7 @@ class ShapeTerm(ErrorTerm):
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[None, FloatArray, FloatArray]:
-        """Return the derivatives of a function of the residuals' slopes; see `ErrorTerm`.
+        """Return the parameter derivatives of a function of the residuals' slopes; see `ErrorTerm`.
 
         The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. With the derivatives G of the function with
         respect to the slopes, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the
@@ -166,20 +166,23 @@ class ShapeTerm(ErrorTerm):
         return None, np.swapaxes(left, 1, 2), direct
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals; see `ErrorTerm`."""
+        """Return the residuals' names, mode by mode."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information; see `ErrorTerm`."""
+        """Return the Fisher information on the inferred sds; see `ErrorTerm.information`."""
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the error model."""
+        """Return the error model's name and settings as a dict."""
         return {"error": "shape", "spread": self.spread.as_dict()}
 
 
 def unit_shapes(data: ModalData, name: str) -> FloatArray:
-    """Return the measured shapes of unit length, (n_sensors, n_modes); ValueError for fewer than two sensors."""
+    """Return the measured unit-length shapes, (n_sensors, n_modes).
+
+    Raise ValueError without shapes, or with only one sensor.
+    """
     if data.shapes is None:
         raise ArgumentError(name, "need measured shapes at the sensors", "none")
     shapes = np.asarray(data.shapes)

@@ -1,4 +1,4 @@
-"""The chain rule of error models, from derivatives of modes to derivatives with respect to parameters."""
+"""Chain rule for error models, from derivatives by mode to derivatives by parameter."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fmu.types import Chain, FloatArray, IntArray
 
 
 def split_by_term(terms: Sequence[ErrorTerm], of_residuals: FloatArray) -> list[FloatArray]:
-    """Return the parts of an array (n, n_modes, k, …) over all k residuals of a mode, one for each error model."""
+    """Split an array (n, n_modes, k, …) over all k residuals of a mode into one part per error model."""
     return np.split(of_residuals, np.cumsum([len(term.labels([""])) for term in terms])[:-1], axis=2)
 
 
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
     """Return a prediction whose derivatives are with respect to the parameters of all tests.
 
-    The array `test` has the index of the test of each mode.
+    The array `test` has the index of each mode's test.
     """
     by_shape = seen.shape_slopes
     if by_shape is not None:
@@ -32,7 +32,7 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
     """Return the gradient of an error model's terms, shape (n, n_modes, n_structural + n_noise).
 
-    If the prediction has slopes, the number of their parameters replaces n_structural.
+    If the prediction has derivatives, the number of their parameters replaces n_structural.
     """
     n = n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
     gradient = np.zeros((*part.terms.shape, n + n_noise))
@@ -54,11 +54,11 @@ def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int,
 def residuals_of_term(
     term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, within: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the residuals of an error model, (n, n_modes, q), and their derivatives.
+    """Return an error model's residuals, (n, n_modes, q), and their derivatives.
 
-    The derivatives are with respect to the model's parameters, (n, n_modes, q, n_structural). If `within` is true,
+    The derivatives are with respect to the model's parameters, (n, n_modes, q, n_structural). If `within` is True,
     they are the derivatives of `ErrorTerm.residuals_within`. The inferred standard deviations `noise`, (n,
-    n_noise), are held fixed.
+    n_noise), stay fixed.
     """
     view = term.project(seen)
     r = term.residuals_within(view, noise) if within else term.residuals(view, noise)
@@ -73,5 +73,5 @@ def residuals_of_term(
 
 
 def without_shapes(frequencies: FloatArray, slopes: FloatArray | None = None) -> ModalPrediction:
-    """Return a prediction of frequencies alone, (n, n_modes), with their derivatives if `slopes` has them."""
+    """Return a prediction with frequencies only, (n, n_modes), and their derivatives if `slopes` is given."""
     return ModalPrediction(frequencies, np.empty((len(frequencies), 0, frequencies.shape[1])), slopes)

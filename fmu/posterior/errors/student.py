@@ -1,4 +1,4 @@
-"""Heavy-tailed errors of frequencies, which give little weight to a mode that contradicts the other modes."""
+"""Heavy-tailed frequency errors, which give little weight to a mode that contradicts the other modes."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ LEAST_FREEDOM = 1.0
 @check_arguments
 @dataclass(frozen=True)
 class StudentErrors(FrequencyErrors):
-    """Independent errors of the frequencies with Student's distribution in place of a Gaussian.
+    """Independent frequency errors with Student's t distribution in place of a Gaussian.
 
-    An error of many σ, for example of a misidentified mode, is then improbable but possible, and has little
+    An error of many σ, for example from a misidentified mode, is then improbable but possible, and has little
     influence on the parameters (Lange, Little & Taylor 1989, *J. Am. Stat. Assoc.* 84, 881–896). Correctly
     measured modes lose some weight too: their information is (ν + 1)/(ν + 3) of its value with Gaussian errors.
 
@@ -51,7 +51,7 @@ class StudentErrors(FrequencyErrors):
             require("freedom", self.freedom, Annotated[float, Ge(LEAST_FREEDOM)])
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`; see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel.bind`.
 
         Raises
         ------
@@ -72,14 +72,14 @@ class StudentErrors(FrequencyErrors):
 
 
 class StudentTerm(FrequencyTerm):
-    """Independent errors with Student's distribution: term i is log t_ν(ε_i/√V_i) − ½ log V_i.
+    """Independent errors with Student's t distribution: term i is log t_ν(ε_i/√V_i) − ½ log V_i.
 
     Parameters
     ----------
     gaussian : FrequencyTerm
         The same errors with a Gaussian distribution.
     freedom : float
-        Degrees of freedom ν if known, else NaN.
+        Degrees of freedom ν if known, otherwise NaN.
     number : int, optional
         Index of ν among the inferred quantities, if ν is inferred.
     """
@@ -101,7 +101,7 @@ class StudentTerm(FrequencyTerm):
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms; see `ErrorTerm`."""
+        """Return the log-density of each mode; see `ErrorTerm.evaluate`."""
         error, slope = self.errors(seen.frequencies)
         V, nu = self.spread.variance(noise), self._nu(noise)
         square = error**2 / V
@@ -119,14 +119,14 @@ class StudentTerm(FrequencyTerm):
         return Evaluated(terms, -weight * error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals; see `ErrorTerm`, with slopes whose squares give Fisher's information."""
+        """Return the residuals; see `ErrorTerm`. Their squared derivatives sum to the Fisher information."""
         error, slope = self.errors(seen.frequencies)
         root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope
         return Residuals((root * error)[..., None], np.broadcast_to(slopes, error.shape)[..., None])
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information of the `used` modes on the inferred quantities, (n, n_noise, n_noise).
+        """Return the Fisher information of the `used` modes on the inferred quantities, (n, n_noise, n_noise).
 
         See Lange, Little & Taylor (1989), section 5. The terms that couple scales and degrees of freedom are
         neglected.
@@ -141,7 +141,7 @@ class StudentTerm(FrequencyTerm):
         return found
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
+        """Return simulated measured frequencies for the computed ones, (n, n_modes), in Hz."""
         nu = self._freedom if self._number is None else self._nu(noise)
         error = np.sqrt(self.spread.variance(noise)) * rng.standard_t(nu, frequencies.shape)
         if self.kind == "eigenvalue":
@@ -149,7 +149,7 @@ class StudentTerm(FrequencyTerm):
         return np.asarray(frequencies + error)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the error model."""
+        """Return the error model's name and settings as a dict."""
         if self._number is None:
             return {**super().as_dict(), "freedom": self._freedom}
         return {**super().as_dict(), "freedom_inferred": self._number}

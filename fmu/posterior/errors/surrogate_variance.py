@@ -1,8 +1,8 @@
-"""The errors of a surrogate in the likelihood, as the mean of the density over the surrogate's distribution.
+"""Account for surrogate errors in the likelihood by averaging the density over the surrogate's distribution.
 
-Let t(x) be the log-density of an error model as a function of the frequency and the shape components x of a mode.
-The surrogate predicts their expectations and their variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the
-residuals r, both at the expectation,
+Let t(x) be an error model's log-density as a function of a mode's frequency and shape components x. The surrogate
+predicts their expectations and their variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² for the residuals r,
+both at the expectation,
 
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
@@ -27,11 +27,11 @@ _STEP = 1e-5  # of an inferred standard deviation, relative
 def evaluated_with_variance(
     term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool
 ) -> Evaluated:
-    """Return the terms of an error model for a prediction with variances; see `ErrorTerm.evaluate`.
+    """Return an error model's terms for a prediction with variances; see `ErrorTerm.evaluate`.
 
     The derivatives with respect to the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a
-    constant h (Gauss–Newton). Those with respect to inferred standard deviations are central differences of the
-    correction.
+    constant h (Gauss–Newton). The derivatives with respect to inferred standard deviations are central differences
+    of the correction.
     """
     part, residuals = term.evaluate(seen, noise, True), term.residuals(seen, noise)
     terms = part.terms + _correction(part, residuals, seen)
@@ -57,7 +57,7 @@ def evaluated_with_variance(
 
 
 def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Residuals:
-    """Return residuals divided by √(1 + Σ_j (∂r/∂x_j)² v_j), their standard deviation with the model's errors."""
+    """Return residuals divided by √(1 + Σ_j (∂r/∂x_j)² v_j), their standard deviation with surrogate errors."""
     variance = np.ones_like(residuals.values)
     if residuals.by_frequency is not None and seen.frequency_variance is not None:
         variance += residuals.by_frequency**2 * seen.frequency_variance[..., None]
@@ -72,7 +72,7 @@ def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Resi
 
 
 def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the sensitivity of the log-density to the variances of the model's errors.
+    """Return the sensitivity of the log-density to the model's error variances.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple
     -------
     of_frequency : ndarray, shape (n, n_modes), 1/Hz²
     of_shape : ndarray, shape (n, n_sensors, n_modes)
-        g_j² + ½ h_j² v_j. Multiplied by v_j, it is the variance of the log-density due to v_j, to second order.
+        g_j² + ½ h_j² v_j. Multiplied by v_j, it is the log-density variance that v_j causes, to second order.
     """
     n, m = seen.frequencies.shape
     by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on frequencies of other modes
@@ -129,7 +129,7 @@ def _by_variance(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
 
 
 def _by_noise(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, k: int) -> FloatArray:
-    """Return the derivative of the correction with respect to an inferred standard deviation, (n, n_modes)."""
+    """Return the correction's derivative with respect to inferred standard deviation `k`, (n, n_modes)."""
     step = _STEP * noise[:, k]
     values = []
     for sign in (1.0, -1.0):

@@ -1,4 +1,4 @@
-"""Sentences on the assumptions about frequency response functions and damping."""
+"""State the assumptions about frequency response functions and damping in sentences."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NO_DATA = (
 
 
 def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
-    """Return sentences on the frequency response functions of a test, their errors and the damping.
+    """Return sentences about a test's frequency response functions, their errors and the damping.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def _of_model(sd: float | str) -> str:
 
 
 def _of_modes(one: Mapping[str, Any]) -> str:
-    """Return a sentence on the errors in the modes of the model."""
+    """Return a sentence about the model discrepancy in the modes."""
     sd, shapes = significant(100.0 * one["sd"]), one["shape_sd"]
     size = f"is inferred, {shapes}" if isinstance(shapes, str) else f"is {significant(100.0 * shapes)} %"
     return (

@@ -1,4 +1,4 @@
-"""Errors of measurement channels: gain errors, integrated out or inferred, and delays, which are inferred."""
+"""Measurement channel errors: gain errors, integrated out or inferred, and delays, which are inferred."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _LEAST_GAIN = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The response channels of a test and their errors.
+    """A test's response channels and their errors.
 
     Attributes
     ----------
     names : tuple of (place, direction)
     of_frf : ndarray of int, shape (n_frfs,)
-        Index of the channel of each FRF.
+        Index of each FRF's channel.
     gain_sd : ndarray, shape (n_channels,)
         Standard deviation of each gain error that is integrated out; 0 if the gain is known.
     gain, delay : ndarray of int, shape (n_channels,)
         Index in theta of each inferred gain error and delay; −1 if it is not inferred.
     parameters : list of Parameter
-        The inferred gain errors and delays, in the order of theta.
+        The inferred gain errors and delays, in theta order.
     """
 
     names: tuple[Any, ...]
@@ -53,19 +53,19 @@ class Channels:
         integrates: bool,
         of_test: str = "",
     ) -> Channels:
-        """Return the channels of the FRFs.
+        """Return the response channels that occur in the FRFs.
 
         Parameters
         ----------
         data : FRFData
         gains, delays : mapping of (place, direction) to float
-            Standard deviations of the relative error of a gain, and of a delay in s.
+            Standard deviations of a gain's relative error, and of a delay in s.
         first : int
             Index in theta of the first channel parameter.
         integrates : bool
             Whether gain errors are integrated out, which requires Gaussian errors.
         of_test : str
-            Prefix of the channel names in the names of parameters.
+            Prefix of the channel names in parameter names.
         """
         names = tuple(dict.fromkeys(data.responses))
         parameters: list[Parameter] = []
@@ -87,7 +87,7 @@ class Channels:
         return cls(names, of_frf, integrated, gain, delay, parameters)
 
     def factors(self, theta: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Return the inferred errors (1 + γ) exp(−iωτ) of each FRF, shape (n, n_frfs, n_lines) or (1, 1, 1)."""
+        """Return the inferred channel factors (1 + γ) exp(−iωτ), shape (n, n_frfs, n_lines) or (1, 1, 1)."""
         if np.all(self.gain < 0) and np.all(self.delay < 0):
             return np.ones((1, 1, 1), dtype=complex)
         found = np.ones((len(theta), len(self.names), len(omega)), dtype=complex)

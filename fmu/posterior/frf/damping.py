@@ -1,4 +1,4 @@
-"""Damping of a structure: modal ratios, Rayleigh damping, loss factors and dashpots, each known or inferred."""
+"""Structural damping models: modal ratios, Rayleigh damping, loss factors and dashpots, each known or inferred."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from fmu.types import NotNegative, Plain
 @check_arguments
 @dataclass(frozen=True)
 class ModalDamping:
-    """Damping ratios of the modes: C = Σ_r 2 ζ_r ω_r M φ_r φ_rᵀ M.
+    """Modal damping ratios: C = Σ_r 2 ζ_r ω_r M φ_r φ_rᵀ M.
 
     Attributes
     ----------
     ratios : float, Parameter, or sequence of them
         Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last ratio
-        applies to all higher modes too. The modes are those of the parts of the structure that have drives and
+        applies to all higher modes too. The modes are those of the structure's parts that have drives and
         responses.
     """
 
@@ -62,8 +62,8 @@ class StructuralDamping:
     loss : float or Parameter
         Loss factor η of all stiffness that `of` does not name.
     of : mapping of str to float or Parameter
-        Loss factor of the stiffness that a parameter of the model scales, by the name of the parameter. The modes
-        of the undamped structure are then coupled.
+        Loss factor of the stiffness that a model parameter scales, keyed by parameter name. The undamped
+        structure's modes are then coupled.
     """
 
     loss: NotNegative | Parameter = 0.0
@@ -78,7 +78,7 @@ class Dashpot:
     Attributes
     ----------
     at : tuple of (place, direction)
-        One end, in the notation of a sensor.
+        One end, written like a sensor.
     coefficient : float or Parameter, N·s/m (N·m·s/rad)
     to : tuple of (place, direction), optional
         The other end; the ground by default.
@@ -92,12 +92,12 @@ class Dashpot:
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class DampingMatrix:
-    """A viscous damping matrix C of another program, times a coefficient. It couples the modes.
+    """A viscous damping matrix C from another program, times a coefficient. It couples the modes.
 
     Attributes
     ----------
     matrix : array_like or sparse, shape (n_dof, n_dof), N·s/m
-        Symmetric, on the degrees of freedom of the model.
+        Symmetric, on the model's degrees of freedom.
     coefficient : float or Parameter
 
     Raises
@@ -125,7 +125,7 @@ DampingModel = ModalDamping | RayleighDamping | StructuralDamping | Dashpot | Da
 
 
 def inferred_in(given: DampingModel | Sequence[DampingModel]) -> list[Parameter]:
-    """Return a list of the inferred parameters of damping models, each listed once."""
+    """Return the inferred parameters of damping models, each listed once."""
     found: list[Parameter] = []
     for one in as_list(given):
         for value in vars(one).values():
@@ -141,7 +141,7 @@ def bind_damping(
     names: Sequence[str],
     places: Mapping[str, Any],
 ) -> Damping:
-    """Return the damping of a model; its parameters are those that `inferred_in` lists.
+    """Return a model's damping; its parameters are those that `inferred_in` lists.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def bind_damping(
     names : sequence of str
         Names of the model's parameters.
     places : mapping of str to node
-        Nodes of the model for names of places.
+        Maps place names to nodes of the model.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def bind_damping(
 
 
 def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
-    """Return a dict of a damping model in plain Python types, in which a parameter is replaced by its name."""
+    """Return a damping model as a dict of plain Python types, with each parameter replaced by its name."""
     found: dict[str, Plain] = {"damping": type(given).__name__}
     for key, value in vars(given).items():
         if key == "matrix":

@@ -1,4 +1,4 @@
-"""Errors of measured frequency response functions, either of H or of log H, with errors of the channels."""
+"""Errors in measured frequency response functions, either in H or in log H, with channel errors."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from fmu.types import Dof, NotNegative, Plain
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class FRFErrors(QuantityErrors):
-    """Errors of measured frequency response functions (FRFs), independent at each line.
+    """Errors in measured frequency response functions (FRFs), independent at each frequency line.
 
-    The measured FRF of response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The real and the imaginary
-    part of the error e each have the variance V = s² + σ² |H|², with the standard deviation s of the data and a
-    relative error σ of the model.
+    The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The real and the imaginary
+    part of the error e each have the variance V = s² + σ² |H|², with the data's standard deviation s and a
+    relative model error σ.
 
     If s was estimated from few hits or averages, with ν degrees of freedom (`FRFData.freedom`), the error at a
-    single line has Student's distribution with ν degrees of freedom. For parameters that many lines determine
-    together, the curvature of this log-density is larger than the variance of its slope. Intervals would be too
-    narrow, by 11 % for five hits. The density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's with ν
-    − 2 degrees of freedom and the variance V ν/(ν − 2). Its curvature equals the variance of its slope (Godambe
-    1960, *Ann. Math. Statist.* 31, 1208–1211), and its slope is proportional to the slope of Student's with ν.
+    single line has Student's t distribution with ν degrees of freedom. For parameters that many lines determine
+    together, this log-density's curvature is larger than its slope's variance. Intervals would be too narrow, by
+    11 % for five hits. The density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2
+    degrees of freedom and the variance V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann.
+    Math. Statist.* 31, 1208–1211), and its slope is proportional to the slope of Student's t with ν.
 
     Attributes
     ----------
@@ -50,22 +50,22 @@ class FRFErrors(QuantityErrors):
     damping : damping model, or sequence of damping models that are added up
         `fmu.ModalDamping`, `fmu.RayleighDamping`, `fmu.StructuralDamping`, `fmu.Dashpot`, `fmu.DampingMatrix`.
     scale : {"linear", "log"}
-        ``"linear"``: errors of H. ``"log"``: errors of log H, that is, of log amplitude and phase, with the
+        ``"linear"``: errors in H. ``"log"``: errors in log H, that is, in log amplitude and phase, with the
         variance V = s²/|d|² + σ²; resonances then have less weight.
     model_sd : float or Parameter
-        σ, the error of the model relative to |H|, known or inferred; 0 by default.
+        σ, the model error relative to |H|, known or inferred; 0 by default.
     gain_sd : float, or mapping of (place, direction) to float
-        Standard deviation of the relative gain error γ_j of each response channel, or of the named channels. If
+        Standard deviation of the relative gain error γ_j in each response channel, or in the named channels. If
         the errors are Gaussian, the gain errors are integrated out exactly.
     delay_sd : float, or mapping of (place, direction) to float, s
-        Standard deviation of the delay τ_j of each response channel, or of the named channels. Delays are
+        Standard deviation of the delay τ_j in each response channel, or in the named channels. Delays are
         inferred.
     test : str, optional
         With `fmu.JointProblem`, the test in which the FRFs were measured, whose parameters the structure has.
         Damping parameters and an inferred `model_sd` that have the same name in several tests are the same
         quantity. Gain errors and delays belong to their test.
     places : mapping of str to node, optional
-        Nodes of the model for names of places in the data, the damping and the channels.
+        Maps place names in the data, the damping and the channels to nodes of the model.
 
     Raises
     ------
@@ -94,7 +94,7 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError(f"model_sd.{inferred.name}.lower", "must be at least 0", inferred.lower)
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with names of places replaced by nodes of the model; labels keep the names."""
+        """Return the same settings with place names replaced by nodes of the model; labels keep the names."""
         return replace(self, places={**places, **self.places})
 
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
@@ -103,7 +103,7 @@ class FRFErrors(QuantityErrors):
     def bind_frfs(
         self, model: SeparableModel, parameters: Sequence[Parameter], discrepancy: Discrepancy | None = None
     ) -> FRFTerm:
-        """Return the errors bound to a structure, after training a reduced model of its FRFs.
+        """Bind the errors to a structure, after training a reduced model of its FRFs.
 
         Parameters
         ----------
@@ -111,12 +111,12 @@ class FRFErrors(QuantityErrors):
         parameters : sequence of Parameter
             Parameters of the model.
         discrepancy : Discrepancy, optional
-            Errors of the modes (`fmu.posterior.frf.scattered`).
+            Model discrepancy in the modes (`fmu.posterior.frf.scattered`).
 
         Raises
         ------
         ValueError
-            If a drive or a response sees no free degree of freedom, the damping does not fit the model (see
+            If a drive or a response has no free degree of freedom, the damping does not fit the model (see
             `bind_damping`), or a discrepancy cannot be combined with these errors.
         """
         data = self.data
@@ -180,7 +180,7 @@ class FRFErrors(QuantityErrors):
         return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
 
     def _check_discrepancy(self, discrepancy: Discrepancy) -> None:
-        """Raise ArgumentError unless the errors are Gaussian errors of H and no channel has an error."""
+        """Raise ArgumentError unless the errors are Gaussian errors in H and no channel has an error."""
         rule = 'of frequency response functions must be of kind "modes": errors of frequencies and residues'
         if discrepancy.kind != "modes" or discrepancy.length is not None:
             raise ArgumentError("discrepancy", rule, discrepancy.kind if discrepancy.length is None else "length")
@@ -204,7 +204,7 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError("discrepancy", rule, wrong)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the data, the damping and the settings, in plain Python types."""
+        """Return the data, the damping and the settings as a dict of plain Python types."""
         return {
             "error": "frf",
             **({} if self.test is None else {"test": self.test}),
@@ -221,7 +221,7 @@ class FRFErrors(QuantityErrors):
 
 
 def _by_channel(key: str, given: float | Mapping[Any, float], data: FRFData) -> dict[Any, float]:
-    """Return a dict with the standard deviation of each named response channel, or of all channels."""
+    """Return the standard deviation of each named response channel, or of all channels, keyed by channel."""
     channels = list(dict.fromkeys(data.responses))
     if not isinstance(given, Mapping):
         return dict.fromkeys(channels, float(given)) if given else {}

@@ -1,4 +1,4 @@
-"""The likelihood of frequency response functions, alone or together with measured modes."""
+"""Likelihood of frequency response functions, alone or together with measured modes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FRFS = "FRFs"
 
 
 class FRFsOfTest(NamedTuple):
-    """The FRFs of a test as functions of the parameters in all tests.
+    """The FRFs of one test, as functions of the parameters in all tests.
 
     Attributes
     ----------
@@ -32,13 +32,13 @@ class FRFsOfTest(NamedTuple):
     test : int
         Index of the test.
     structural : ndarray of int, shape (s,)
-        Index of each of the first s parameters of `term` among the structural parameters. The remaining parameters
-        of `term` are inferred in addition to the structure.
+        Indices of the first s parameters in `term` among the structural parameters. The remaining parameters in
+        `term` are inferred in addition to the structural ones.
     columns : ndarray of int, shape (n_own,)
-        Index of each parameter of `term` in theta of the likelihood.
+        Index of each parameter in `term` in the likelihood's theta.
     slopes : ndarray of int, shape (n_own,)
-        Index of each parameter of `term` among the parameters that values in the test are differentiated with
-        respect to: the structural parameters in the test, and then the inferred parameters.
+        Index of each parameter in `term` among those that values in the test are differentiated with respect to:
+        the structural parameters in the test, and then the inferred parameters.
     """
 
     term: FRFTerm
@@ -49,19 +49,19 @@ class FRFsOfTest(NamedTuple):
 
     @property
     def further(self) -> tuple[Parameter, ...]:
-        """The parameters of `term` that are inferred in addition to the structure."""
+        """Parameters in `term` that are inferred in addition to the structural ones."""
         return self.term.inferred[len(self.structural) - self.term.model.full.n_parameters :]
 
     def own(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters of `term`, (n, n_own), at theta of the likelihood (n, ndim)."""
+        """Select the parameters of `term`, (n, n_own), from the likelihood's theta (n, ndim)."""
         if len(self.columns) == theta.shape[1]:  # of a single test, in their order
             return theta
         return theta.take(self.columns, axis=1)
 
     def by_structural(self, n: int, n_structural: int, chain: Chain | None) -> FloatArray:
-        """Return the derivatives of the first s parameters of `term` with respect to the problem's N, (n, s, N).
+        """Return how the first s parameters of `term` depend on the N problem parameters: derivatives (n, s, N).
 
-        These N parameters exclude those inferred in addition to the structure, which has `n_structural` in a test.
+        Without a `chain`, N is `n_structural`, the number of structural parameters in a test.
         """
         s = len(self.structural)
         found = np.zeros((n, s, n_structural))
@@ -70,30 +70,30 @@ class FRFsOfTest(NamedTuple):
 
 
 class FRFLikelihood(Likelihood):
-    """The sum of the log-likelihood of the modes and the log-densities of the FRFs.
+    """The sum of the modes' log-likelihood and the FRFs' log-densities.
 
     Parameters
     ----------
     modal : ModalLikelihood
-        The likelihood of the modes; it uses no mode if the FRFs are the only data.
+        Likelihood of the modes; it uses no mode if the FRFs are the only data.
     every : sequence of FRFsOfTest
     n_structural : int
-        Number of parameters of the structure in a test.
+        Number of structural parameters in a test.
     n_tests : int
 
     Attributes
     ----------
     modal : ModalLikelihood
-        The likelihood of the modes.
+        Likelihood of the modes.
     model : ModalModel
-        The model of the modes.
+        Model that computes the modes.
     every : tuple of FRFsOfTest
     responses : tuple of FRFTerm
 
     Notes
     -----
-    The further parameters inferred for the FRFs follow those of the errors of the modes. Everything else is as in
-    the likelihood of the modes.
+    The further parameters inferred for the FRFs follow those for the mode errors. Everything else is as in the
+    likelihood of the modes.
     """
 
     of_modes = True
@@ -119,7 +119,7 @@ class FRFLikelihood(Likelihood):
         self._adopt()
 
     def _adopt(self) -> None:
-        """Copy the attributes that describe the modes from the likelihood of the modes."""
+        """Copy the attributes that describe the modes from the modal likelihood."""
         modal, self.responses = self.modal, tuple(one.term for one in self.every)
         self.model = modal.model
         self.needs_shapes, self.simulates, self.has_discrepancy, self.predictions_per_gradient = (
@@ -143,20 +143,20 @@ class FRFLikelihood(Likelihood):
 
     @property
     def frequency_term(self) -> ErrorTerm | None:
-        """The first error model of frequencies; None if there is no such error model."""
+        """The first error model for frequencies; None if there is none."""
         return self.modal.frequency_term
 
     @property
     def n_noise(self) -> int:
-        """Number of inferred standard deviations of errors of modes, the first of `noise`."""
+        """Number of inferred mode error sds, which come first in `noise`."""
         return len(self.modal.noise)
 
     def using(self, used: IntArray | None) -> Self:
-        """Return the likelihood of the modes with the indices `used`, and of the same FRFs; None for all modes."""
+        """Return the likelihood of the FRFs and only the modes with indices `used`; None selects all modes."""
         return self._with(self.modal.using(used))
 
     def with_model(self, model: Any) -> Self:
-        """Return the likelihood with another model of the modes."""
+        """Return the likelihood with another model to compute the modes."""
         return self._with(self.modal.with_model(model))
 
     def _with(self, modal: ModalLikelihood, every: Sequence[FRFsOfTest] | None = None) -> Self:
@@ -168,10 +168,10 @@ class FRFLikelihood(Likelihood):
         return other
 
     def easier(self) -> list[Likelihood]:
-        """Return likelihoods of the same parameters with fewer maxima, the easiest first.
+        """Return likelihoods with the same parameters and fewer maxima, the easiest first.
 
         The first is the likelihood of all modes alone. In the others the FRFs have an additional relative error,
-        which decreases from one to the next. Narrow resonances of model and data that do not overlap give no
+        which decreases from one to the next. Narrow measured and computed resonances that do not overlap give no
         direction towards each other; with large errors they overlap.
         """
         noise = min(term.relative_noise for term in self.responses)
@@ -187,7 +187,7 @@ class FRFLikelihood(Likelihood):
         return theta[:, : self._n_modal]
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode and of the FRFs of each test, (n, n_terms)."""
+        """Return the log-likelihood of each used mode and of each test's FRFs, (n, n_terms)."""
         return self._with_responses(self._modal_terms(theta), theta)
 
     def _modal_terms(self, theta: FloatArray) -> FloatArray:
@@ -216,24 +216,24 @@ class FRFLikelihood(Likelihood):
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta (n, ndim) that the error models need."""
+        """Return the modes that the error models need, predicted at theta (n, ndim)."""
         return self.modal.observed(self._of_modes(theta), gradient)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the computed frequencies there; see `Likelihood`."""
+        """Return the log-likelihood terms at theta, given the computed frequencies; see `Likelihood`."""
         return self._with_responses(self.modal.terms_of_frequencies(frequencies, self._of_modes(theta)), theta)
 
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and the squared residuals of the modes; see `Likelihood`."""
+        """Return the log-likelihood terms and the squared residuals for the modes; see `Likelihood`."""
         if self.is_of_frfs_alone:
             return np.zeros((len(theta), 0)), np.zeros((len(theta), 0, 0))
         return self.modal.terms_and_misfit(self._of_modes(theta), frequencies)
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the terms of the modes depend on the frequencies of the model alone."""
+        """Whether the modes' log-likelihood depends on the computed frequencies alone."""
         return self.is_of_frfs_alone or self.modal.by_frequencies
 
     def quadratic(
@@ -262,9 +262,9 @@ class FRFLikelihood(Likelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        The FRFs of a test are represented by as many residuals as the structure has parameters. With J the square
-        root of the information on these parameters, given the best values of all others for this test, the
-        residuals are −J⁻ᵀ times the gradient.
+        A test's FRFs are represented by as many residuals as there are structural parameters. With J the square
+        root of the information on these parameters, given this test's best values of all others, the residuals are
+        −J⁻ᵀ times the gradient.
         """
         values, slopes = [], []
         if not self._has_no_terms_of_modes:
@@ -292,12 +292,12 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([*found, *(np.full(len(one.structural), one.test) for one in self.every)])
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the modes' names."""
+        """Return the residuals' names, in the order of `residuals_and_slopes`, given the mode names."""
         of_modes = () if self._has_no_terms_of_modes else self.modal.labels(modes)
         return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of the measurement."""
+        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations."""
         if self.is_of_frfs_alone:
             return np.zeros(len(frequencies))
         return self.modal.in_standard_deviations(frequencies, error, theta[: self._n_modal])
@@ -305,23 +305,23 @@ class FRFLikelihood(Likelihood):
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with measurement errors added."""
+        """Return frequencies with simulated measurement errors added, (n, n_modes), in Hz."""
         return self.modal.simulate(rng, frequencies, noise)
 
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added."""
+        """Return frequencies with only the inferred model errors added, (n, n_modes), in Hz."""
         return self.modal.simulate_discrepancy(rng, frequencies, noise)
 
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies plus any discrepancy of the model at theta, drawn afresh or given the data."""
+        """Return frequencies plus any model discrepancy at theta, drawn from its prior or given the data."""
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
-        """Return the reason why the terms are not finite at theta, shape (ndim,); None if they are finite."""
+        """Return the reason why the log-likelihood is not finite at theta (ndim,), or None if it is finite."""
         found = None if self._has_no_terms_of_modes else self.modal.why_not_finite(theta[: self._n_modal])
         for one in [] if found else self.every:
             if not np.isfinite(one.term.terms(one.own(theta[None]))[0]):
@@ -329,7 +329,7 @@ class FRFLikelihood(Likelihood):
         return found
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of names and settings in plain Python types."""
+        """Return the names and settings as a dict of plain Python types."""
         return self.modal.as_dict() | {
             "responses": [term.as_dict() for term in self.responses],
             "inferred": [p.name for p in self.noise[len(self.modal.noise) :]],
@@ -337,7 +337,7 @@ class FRFLikelihood(Likelihood):
 
 
 def _whiten(gradient: FloatArray, information: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return n residuals and their derivatives with respect to n parameters, at the best values of the others."""
+    """Return n residuals and their derivatives for the first n parameters, at the best values of the others."""
     other = information[n:, n:]
     if len(other):
         gain = np.linalg.lstsq(other, information[n:, :n], rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Records of the log-density of frequency response functions at the lines, and of the gain errors."""
+"""Records of FRF log-densities at the frequency lines, and of gain errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fmu.types import ComplexArray, FloatArray
 
 
 class Misfit(NamedTuple):
-    """Log-densities of a block of lines and their derivatives.
+    """Log-densities for a block of frequency lines, and their derivatives.
 
     Attributes
     ----------
@@ -19,7 +19,7 @@ class Misfit(NamedTuple):
     weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
         w such that d(terms) = Re(w dH).
     by_sd : ndarray, shape (n, n_frfs, n_lines), or None
-        Derivative with respect to the relative error σ of the model.
+        Derivative with respect to the relative model error σ.
     """
 
     terms: FloatArray
@@ -28,18 +28,18 @@ class Misfit(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """The gain errors that are integrated out, at n parameter vectors.
+    """Gain errors that are integrated out, at n parameter vectors.
 
-    The density of the data given the relative error γ of a gain is exp(−½ A (γ − γ̂)²) times its maximum.
+    The density of the data given a gain's relative error γ is its maximum times exp(−½ A (γ − γ̂)²).
 
     Attributes
     ----------
     best : ndarray, shape (n, n_channels)
         γ̂, the most probable value; 0 for a channel whose gain is known.
     precision : ndarray, shape (n, n_channels)
-        A, which includes the precision of the prior; infinite for a channel whose gain is known.
+        A, which includes the prior's precision; infinite for a channel whose gain is known.
     log_density : ndarray, shape (n,)
-        Contribution of the integrals to the log-density, in addition to the terms of the lines.
+        Contribution of the integrals to the log-density, in addition to the lines' terms.
     """
 
     best: FloatArray

@@ -1,15 +1,15 @@
-"""FRFs of a model with wrong modes: each mode of the band has a frequency of its own, and its residues scatter.
+"""FRFs of a model with wrong modes: each mode in the band has its own frequency, and its residues scatter.
 
-The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. The frequencies f_r of the modes in
-the band are inferred; ln f_r − ln f_r(θ) is normal with the standard deviation σ and the correlation ρ between
-modes. The errors ε_r of the residues of each FRF are standard normal and independent. Their unit a_r is the root
-mean square of the mode's residues over the FRFs. These errors are linear and are integrated out exactly. In
-standard deviations of the measurement, the errors of an FRF have the covariance S = I + C Cᵀ with the columns
-C_r = σ_s a_r g_r; S is inverted by Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
+The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. The mode frequencies f_r in the band
+are inferred; ln f_r − ln f_r(θ) is normal with the standard deviation σ and the correlation ρ between modes. The
+residue errors ε_r of each FRF are standard normal and independent. Their unit a_r is the root mean square of the
+mode's residues over the FRFs. These errors are linear and are integrated out exactly. In measurement standard
+deviations, an FRF's errors have the covariance S = I + C Cᵀ with the columns C_r = σ_s a_r g_r; S is inverted by
+Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
 
-The errors of the frequencies must not be linearised. A resonance with the damping ratio ζ leaves the range of its
-tangent if the relative error of its frequency exceeds about ζ/2, and errors of models are larger than that. σ and
-ρ must be given: a band has too few modes to infer them, and their joint density with f_r is unbounded at σ = 0.
+The frequency errors must not be linearised. A resonance with the damping ratio ζ leaves the range of its tangent
+if its relative frequency error exceeds about ζ/2, and model errors are larger than that. σ and ρ must be given: a
+band has too few modes to infer them, and their joint density with f_r is unbounded at σ = 0.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _RANGE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class ModeScatter:
-    """The errors of the m modes in the band, and the parameters that are inferred for them.
+    """Model discrepancy in the m modes in the band, and the parameters that are inferred for it.
 
     Attributes
     ----------
@@ -63,12 +63,12 @@ class ModeScatter:
 
     @property
     def m(self) -> int:
-        """Number of modes with errors."""
+        """Number of modes with a discrepancy."""
         return len(self.parameters) - (self.shape_sd is None)
 
     @classmethod
     def of(cls, given: Discrepancy, model: FRFModel, start: FloatArray, top: float) -> ModeScatter:
-        """Return the errors of the modes of a model up to a frequency `top`, Hz."""
+        """Return the discrepancy in a model's modes up to the frequency `top`, Hz."""
         lam = model.block.eigenvalues(start[None], model.block.size)[0, model.n_rigid :]
         hz = np.sqrt(np.maximum(lam, 0.0)) / (2.0 * np.pi)
         own = [
@@ -83,15 +83,15 @@ class ModeScatter:
 
     @cached_property
     def precision(self) -> FloatArray:
-        """The inverse covariance of the relative errors of the frequencies, (m, m)."""
+        """Inverse covariance of the relative frequency errors, shape (m, m)."""
         m, rho = self.m, self.correlation
         return np.asarray((np.eye(m) - rho / (1.0 + (m - 1) * rho)) / ((1.0 - rho) * self.sd**2))
 
     def log_density(self, f: FloatArray, lam: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the log-density of the frequencies (n, m) given the model's eigenvalues (n, m), and its slopes.
+        """Return the log-density of the frequencies f (n, m) given the model's eigenvalues lam (n, m).
 
-        The log-density, (n,), replaces the uniform density between the bounds. The slopes are its derivatives with
-        respect to the frequencies and to the eigenvalues, (n, m) each.
+        The log-density, (n,), replaces the uniform density between the bounds. It is followed by its derivatives
+        with respect to the frequencies and to the eigenvalues, (n, m) each.
         """
         x = np.log(2.0 * np.pi * f) - 0.5 * np.log(lam)
         turned = np.einsum("gh,nh->ng", self.precision, x)
@@ -101,18 +101,18 @@ class ModeScatter:
         return value, -(turned + 1.0) / f, 0.5 * turned / lam
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the settings in plain Python types."""
+        """Return the settings as a dict of plain Python types."""
         shapes = self.parameters[-1].name if self.shape_sd is None else self.shape_sd
         return {"modes": self.m, "sd": self.sd, "correlation": self.correlation, "shape_sd": shapes}
 
 
 class _At(NamedTuple):
-    """The quantities that a term computes at n parameter vectors.
+    """Everything that a term computes at n parameter vectors.
 
-    They are the modes, the resonances, the whitened errors E, the loadings B of the residue errors ε, and the
-    distribution of ε. E has the shape (n, n_frfs, 2 L) and B (n, n_frfs, m, 2 L), with the real parts of all lines
-    before the imaginary parts. The `mean` and `precision` of ε given the data have the shapes (n, n_frfs, m) and
-    (n, n_frfs, m, m).
+    These are the modes, the resonances, the whitened errors E, the loadings B of the residue errors ε, and the
+    distribution of ε. E has the shape (n, n_frfs, 2 L) and B (n, n_frfs, m, 2 L), with the real parts of all L
+    lines before the imaginary parts. The `mean` and `precision` of ε given the data have the shapes (n, n_frfs, m)
+    and (n, n_frfs, m, m).
     """
 
     modes: Residues
@@ -126,7 +126,7 @@ class _At(NamedTuple):
 
 
 class ScatteredTerm(FRFTerm):
-    """Measured FRFs bound to a structure with wrong modes; see the description of the module.
+    """Measured FRFs bound to a structure with model discrepancy in its modes; see the module docstring.
 
     The parameters of `scatter` follow those of the damping.
     """
@@ -151,29 +151,29 @@ class ScatteredTerm(FRFTerm):
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """A description of each parameter of `inferred`, in words."""
+        """Description in words of each parameter in `inferred`."""
         return ("damping",) * self.model.n_values + ("error of the model",) * len(self.scatter.parameters)
 
     def with_use(self, use: BoolArray) -> ScatteredTerm:
-        """Return the same term with another selection `use` (n_frfs, n_lines) of the measured values."""
+        """Return the same term with other measured values selected by the mask `use`, (n_frfs, n_lines)."""
         data, n = replace(self.data, use=use, band=None), self.model.n_values
         return ScatteredTerm(data, self.model, self.channels, self.inferred[:n], self._settings, self.scatter)
 
     def without_lines(self) -> ScatteredTerm:
-        """Return the term with the errors of the modes alone, for a search that begins with the modes."""
+        """Return the term without measured lines: only the mode errors, for a search that begins with modes."""
         other = self.widen(0.0)
         assert isinstance(other, ScatteredTerm)
         other._is_silent = True
         return other
 
     def _weights(self) -> FloatArray:
-        """Return the reciprocal standard deviations of the used values, (n_frfs, L), and 0 for the others."""
+        """Return the reciprocal standard deviations of the used values, (n_frfs, L), with 0 for the others."""
         if self._is_silent:
             return np.zeros(self._used.shape)
         return np.asarray(self._used / np.sqrt(self._variance + self._wider**2 * square(self._measured)))
 
     def _shape_sd(self, theta: FloatArray) -> FloatArray:
-        """Return σ_s, shape (n, 1)."""
+        """Return the residue error sd σ_s, shape (n, 1)."""
         known = self.scatter.shape_sd
         return theta[:, -1:] if known is None else np.full((len(theta), 1), known)
 
@@ -260,7 +260,7 @@ class ScatteredTerm(FRFTerm):
         return np.asarray(at.modes.amplitudes @ at.resonances.g * self._power)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs at the values that the term `every` uses, with residues drawn given this term's data."""
+        """Return the FRFs at the lines that the term `every` uses, with residues drawn given this term's data."""
         assert isinstance(every, ScatteredTerm)
         epsilon, there = self._draw(self._at(theta), rng), every._at(theta)
         size = self._shape_sd(theta) * there.unit
@@ -269,7 +269,7 @@ class ScatteredTerm(FRFTerm):
         return np.asarray(residues @ there.resonances.g * every._power)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return Σ r² over the used lines of each FRF, (n, n_frfs), with residues drawn given the data."""
+        """Return Σ r² over each FRF's used lines, (n, n_frfs), with residues drawn given the data."""
         at = self._at(theta)
         epsilon = self._draw(at, rng)
         return np.asarray(np.sum((at.E - (epsilon[:, :, None] @ at.B)[:, :, 0]) ** 2, axis=2))
@@ -287,6 +287,6 @@ def _split(z: ComplexArray) -> FloatArray:
 
 
 def _join(x: FloatArray) -> ComplexArray:
-    """Return the inverse of `_split`."""
+    """Join real and imaginary parts into complex numbers; the inverse of `_split`."""
     real, imaginary = np.split(x, 2, axis=-1)
     return np.asarray(real + 1j * imaginary)

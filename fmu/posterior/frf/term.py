@@ -1,4 +1,4 @@
-"""The log-density of measured frequency response functions, its gradient and its information."""
+"""Log-density of measured frequency response functions, its gradient and its information."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 class FRFTerm:
     """Measured FRFs bound to a structure.
 
-    Here theta consists of the term's own parameters: those of the structure, followed by `inferred`.
+    Here theta consists of the term's own parameters: the structural ones, followed by `inferred`.
 
     Attributes
     ----------
@@ -39,18 +39,18 @@ class FRFTerm:
     model : FRFModel
     channels : Channels
     inferred : tuple of Parameter
-        Inferred parameters of the damping and the channels, and an inferred relative error of the model.
+        Inferred damping and channel parameters, and an inferred relative model error.
     n_data : int
         Number of measured real numbers that are used.
 
     Parameters
     ----------
     is_log : bool
-        Whether these are errors of log H.
+        Whether the errors are in log H.
     model_sd : float or None
-        The relative error σ of the model; None if it is inferred.
+        The relative model error σ; None if it is inferred.
     settings, of_test : dict and str
-        The result of `as_dict`, and the prefix of the names of FRFs (the test and a colon), if there is one.
+        The result of `as_dict`, and the prefix of FRF names (the test and a colon), if there is one.
     """
 
     has_discrepancy = False  # errors of the modes
@@ -92,21 +92,21 @@ class FRFTerm:
         self._sd_column = self._first + len(inferred) - 1 if model_sd is None else None
 
     def widen(self, relative: float) -> FRFTerm:
-        """Return the same term with an additional relative error of the model, for a search from far away."""
+        """Return the same term with an additional relative model error, for a search from far away."""
         other = copy(self)
         other._wider = relative
         return other
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """A description of each parameter of `inferred`, in words."""
+        """Description in words of each parameter in `inferred`."""
         of_channels = ("response channel",) * len(self.channels.parameters)
         of_model = ("error of the model",) * (self._model_sd is None)
         return ("damping",) * self.model.n_values + of_channels + of_model
 
     @property
     def relative_noise(self) -> float:
-        """Median over the lines of the standard deviation of the data divided by |H|."""
+        """Median over the lines of the data's standard deviation divided by |H|."""
         size = 1.0 if self._is_log else np.abs(self._measured)
         return float(np.median((np.sqrt(self._variance) / size)[self._used]))
 
@@ -124,11 +124,11 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs at the values that `every` uses; errors of the model are drawn given these data."""
+        """Return the FRFs at the lines that `every` uses; a subclass with model errors draws them given these data."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the parameters of the structure, (n, p), and of the damping, (n, q), at theta (n, ndim)."""
+        """Split theta (n, ndim) into structural parameters (n, p) and damping parameters (n, q)."""
         return theta[:, : self.model.full.n_parameters], theta[:, self._first : self._first + self.model.n_values]
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -142,15 +142,15 @@ class FRFTerm:
         return self._evaluate(theta, gradient=True)
 
     def with_use(self, use: BoolArray) -> FRFTerm:
-        """Return the same term with another selection `use` (n_frfs, n_lines) of the measured values."""
+        """Return the same term with other measured values selected by the mask `use`, (n_frfs, n_lines)."""
         data, own = replace(self.data, use=use, band=None), (self._is_log, self._model_sd, self._settings)
         return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return Σ r² over the used lines of each FRF, (n, n_frfs), at theta (n, ndim).
+        """Return Σ r² over each FRF's used lines, (n, n_frfs), at theta (n, ndim).
 
         If the model is correct, it is chi-square distributed with two degrees of freedom per line. Gain errors
-        that are integrated out are drawn. An error with Student's distribution is replaced by its normal score.
+        that are integrated out are drawn. An error with Student's t distribution is replaced by its normal score.
         """
         solved = self._solve(theta)
         found = self._integrate_gains(theta, solved)
@@ -165,7 +165,7 @@ class FRFTerm:
         return total
 
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
-        """Return the standard deviations of the errors of H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
+        """Return the standard deviations of the errors in H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
@@ -182,7 +182,7 @@ class FRFTerm:
     ) -> ComplexArray:
         """Return simulated measurements, (n, n_frfs, n_lines), of the computed `frfs` at theta (n, ndim).
 
-        Gain errors that are integrated out are `gain` (n, n_channels) or, if it is None, drawn from their prior.
+        Integrated gain errors are taken from `gain` (n, n_channels) or, if it is None, drawn from their prior.
         """
         noise = rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
         error = self.error_sd(frfs, theta) * noise
@@ -194,7 +194,7 @@ class FRFTerm:
         return seen * np.exp(error) if self._is_log else seen + error
 
     def through_channels(self, frfs: ComplexArray, gain: FloatArray) -> ComplexArray:
-        """Return computed FRFs (n, n_frfs, n_lines) with the gain errors (n, n_channels) of their channels."""
+        """Apply the channels' gain errors (n, n_channels) to computed FRFs (n, n_frfs, n_lines)."""
         of_frf = gain[:, self.channels.of_frf, None]
         return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
@@ -216,12 +216,12 @@ class FRFTerm:
         return self.model.at(*self.split(theta))
 
     def _predict(self, solved: ModalResponses | GeneralResponses, theta: FloatArray, lines: slice) -> ComplexArray:
-        """Return the computed receptances with the inferred errors of the channels, (n, n_frfs, n_lines)."""
+        """Return the computed receptances with the inferred channel errors, (n, n_frfs, n_lines)."""
         found = solved.frfs(self.omega[lines])
         return found * self.channels.factors(theta, self.omega[lines]) if self.channels.parameters else found
 
     def _sd(self, theta: FloatArray) -> FloatArray:
-        """Return the relative error σ of the model, shape (n, 1, 1)."""
+        """Return the relative model error σ, shape (n, 1, 1)."""
         if self._model_sd is None:
             return theta[:, self._sd_column, None, None]
         return np.full((len(theta), 1, 1), self._model_sd)
@@ -235,7 +235,7 @@ class FRFTerm:
         return V, np.log(V)
 
     def _error(self, H: ComplexArray, lines: slice, gain: FloatArray) -> ComplexArray:
-        """Return the errors of H or of log H, given the gain errors (n, n_frfs, 1)."""
+        """Return the errors in H or in log H, given the gain errors (n, n_frfs, 1)."""
         if not self._is_log:
             return np.asarray(self._measured[:, lines] - (H if self._has_known_gains else (1.0 + gain) * H))
         e = self._log_measured[:, lines] - np.log(H) - gain
@@ -255,7 +255,7 @@ class FRFTerm:
         precision: FloatArray,
         slopes: bool,
     ) -> Misfit:
-        """Return the log-densities of a block of lines, with the gain errors and precisions (n, n_frfs, 1)."""
+        """Return the log-densities for a block of lines, given gain errors and precisions, (n, n_frfs, 1)."""
         used = self._used[:, lines]
         V, log_V = self._variances(H, theta, lines)
         e = self._error(H, lines, gain)
@@ -337,7 +337,7 @@ class FRFTerm:
     def _add_channels(
         self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray
     ) -> None:
-        """Add the derivatives with respect to inferred gain errors and delays, given w H of a block of lines."""
+        """Add the derivatives for inferred gain errors and delays to `slope`, from w H in a block of lines."""
         channels = self.channels
         for j in range(len(channels.names)):
             own = products[:, channels.of_frf == j]
@@ -348,9 +348,9 @@ class FRFTerm:
                 slope[:, channels.delay[j]] += np.sum(np.sum(own.imag * omega, axis=2), axis=1)
 
     def information(self, theta: FloatArray) -> FloatArray:
-        """Return Fisher's information of the data, shape (n, ndim, ndim), at theta (n, ndim).
+        """Return the Fisher information in the data, shape (n, ndim, ndim), at theta (n, ndim).
 
-        Gain errors that are integrated out are eliminated from it.
+        Integrated gain errors are eliminated from it.
         """
         found = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
         with single_thread(), np.errstate(all="ignore"):
@@ -396,5 +396,5 @@ class FRFTerm:
         return found - np.einsum("jp,jq->pq", mixed / gains.precision[0][:, None], mixed)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the data, the damping and the settings, in plain Python types."""
+        """Return the data, the damping and the settings as a dict of plain Python types."""
         return self._settings

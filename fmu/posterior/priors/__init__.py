@@ -27,7 +27,7 @@ The other keys of a prior in the file are the arguments of one of these construc
 
 
 def prior_of(settings: Mapping[str, Any]) -> Prior | None:
-    """Return the prior described by a dict from `Prior.as_dict`; None if its distribution is not in `PRIORS`."""
+    """Return the prior described by a dict from `Prior.as_dict`, or None if `PRIORS` lacks its distribution."""
     classes = (one for one in PRIORS.get(str(settings["distribution"]), ()) if isinstance(one, type))
     arguments = {key: value for key, value in settings.items() if key != "distribution"}
     return next((one(**arguments) for one in classes), None)

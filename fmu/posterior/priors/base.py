@@ -1,8 +1,7 @@
 """Priors of one parameter, truncated to its bounds: the interface, the Gaussian and the uniform prior.
 
 The truncated Gaussian agrees with `scipy.stats.truncnorm` to 4e-16 in a probability and to the last bits in a
-draw, but does not need `scipy.stats`, which takes half a second or more to import. Its log-density takes 5 µs for
-one value instead of 480 µs, and a thousand draws take 0.1 ms instead of 2 ms.
+draw. It avoids importing `scipy.stats`, which takes half a second or more, and is 20 to 100 times as fast.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ _ENDS = ndtr(np.array([-4.0, 4.0]))
 class GaussianForm(NamedTuple):
     """A density that is Gaussian in x or in log x, before truncation: log p(x) = log_factor + log N(x; mean, sd).
 
-    With `of_logarithm`, N is the density of log x, and − log x is added. The priors of all parameters that have
-    this form are evaluated as one array (`fmu.posterior.priors.joint.JointPrior`).
+    With `of_logarithm`, N is the density of log x, and − log x is added. All priors of this form are evaluated as
+    one array (`fmu.posterior.priors.joint.JointPrior`).
     """
 
     mean: float
@@ -35,7 +34,7 @@ class GaussianForm(NamedTuple):
 
 
 class Prior(ABC):
-    """A one-dimensional distribution, before the bounds truncate it.
+    """A one-dimensional distribution before it is truncated to the bounds.
 
     Attributes
     ----------
@@ -47,7 +46,7 @@ class Prior(ABC):
 
     @property
     def gaussian_form(self) -> GaussianForm | None:
-        """The prior in terms of a Gaussian; None if there is no such form, so that `log_pdf` is evaluated."""
+        """The prior in terms of a Gaussian; None if it has no such form and `log_pdf` must be evaluated."""
         return None
 
     @property
@@ -65,11 +64,11 @@ class Prior(ABC):
 
     @abstractmethod
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the probability between two bounds."""
+        """Return the log-probability between two bounds."""
 
     @abstractmethod
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        """Return quantiles of the distribution truncated to the bounds, at probabilities `p`."""
 
     def median_within(self, lower: float, upper: float) -> float:
         """Return the median of the distribution truncated to the bounds."""
@@ -77,7 +76,7 @@ class Prior(ABC):
 
     @abstractmethod
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the prior."""
+        """Return the prior's name and settings as a dict."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
         """Draw `n` values from the distribution truncated to the bounds, by default by inversion."""
@@ -105,19 +104,19 @@ class Prior(ABC):
 
 
 def prior_in(given: object) -> Prior | None:
-    """Return a value that is given by its distribution; None for a number, a name or nothing."""
+    """Return a value that is given by its distribution, or None for a number, a name or nothing."""
     return given if isinstance(given, Prior) else None
 
 
 def settings_of(given: Prior | Plain) -> Plain:
-    """Return the settings of a prior in plain Python types; any other value as it is."""
+    """Return a prior's settings in plain Python types; any other value is returned unchanged."""
     return given.as_dict() if isinstance(given, Prior) else given
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Normal(Prior):
-    """The Gaussian prior of eq. (6): density ∝ exp(−α/2 (x − mean)²), with α = 1/sd².
+    """The Gaussian prior in eq. (6): density ∝ exp(−α/2 (x − mean)²), with α = 1/sd².
 
     Attributes
     ----------
@@ -166,7 +165,7 @@ class Normal(Prior):
         return self._invert_cdf(rng.uniform(size=n), lower, upper)
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        """Return quantiles of the distribution truncated to the bounds, at probabilities `p`."""
         return self._invert_cdf(1.0 - p if lower > self.mean else p, lower, upper)
 
     def _invert_cdf(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -180,7 +179,7 @@ class Normal(Prior):
         return np.clip(self.mean + self.sd * (-z if flip else z), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the lower bound and the width if both bounds are finite, else the mean and standard deviation."""
+        """Return the lower bound and the width if both bounds are finite; otherwise the mean and the sd."""
         if np.isfinite(upper - lower):
             return lower, upper - lower
         return self.mean, self.sd
@@ -191,7 +190,7 @@ class Normal(Prior):
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the prior."""
+        """Return the prior's name and settings as a dict."""
         return {"distribution": "normal", "mean": self.mean, "sd": self.sd}
 
 
@@ -214,7 +213,7 @@ class Uniform(Prior):
         return float(np.log(upper - lower))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p` of the uniform distribution between the bounds."""
+        """Return quantiles of the uniform distribution between the bounds, at probabilities `p`."""
         return np.asarray(lower + (upper - lower) * p)
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
@@ -230,5 +229,5 @@ class Uniform(Prior):
         return lower, upper
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name of the prior."""
+        """Return the prior's name as a dict."""
         return {"distribution": "uniform"}

@@ -1,4 +1,4 @@
-"""The joint prior of all parameters."""
+"""Joint prior of all parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fmu.types import FloatArray
 
 
 class JointPrior:
-    """The product of the priors of the parameters, truncated to the bounds and normalised between them.
+    """Product of all parameters' priors, truncated to the bounds and normalised between them.
 
     Normal, half-normal and log-normal priors, the common ones, are evaluated together as one array.
 
@@ -21,8 +21,8 @@ class JointPrior:
     ----------
     parameters : sequence of Parameter
     layout : Layout, optional
-        The layout of several tests with populations. The scores of the tests in the populations are not
-        independent of the other parameters (`fmu.posterior.joint.layout.Layout.log_prior`).
+        Layout of several tests with populations. The tests' scores in the populations are not independent of the
+        other parameters (`fmu.posterior.joint.layout.Layout.log_prior`).
     """
 
     def __init__(self, parameters: Sequence[Parameter], layout: Layout | None = None) -> None:
@@ -76,8 +76,8 @@ class JointPrior:
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
 
-        The curvature for each parameter is a central difference of slopes with a step of 1e-4 of its scale, and at
-        least zero. The curvature for the scores of tests is that of their density without bounds.
+        Each parameter's curvature is a central difference of slopes with a step of 1e-4 of its scale, and at least
+        zero. Test scores have the curvature of their density without bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):

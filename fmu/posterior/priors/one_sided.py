@@ -19,7 +19,7 @@ from fmu.types import FloatArray, Plain, Positive
 @check_arguments
 @dataclass(frozen=True)
 class HalfNormal(Prior):
-    """The half of a Gaussian above its centre: density ∝ exp(−(x − at)²/(2 sd²)) for x ≥ at.
+    """The upper half of a Gaussian: density ∝ exp(−(x − at)²/(2 sd²)) for x ≥ at.
 
     Attributes
     ----------
@@ -56,15 +56,15 @@ class HalfNormal(Prior):
         return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the probability between two bounds."""
+        """Return the log-probability between two bounds."""
         return self.gaussian.log_mass(max(lower, self.at), upper) + float(np.log(2.0))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        """Return quantiles of the distribution truncated to the bounds, at probabilities `p`."""
         return self.gaussian.quantile(p, max(lower, self.at), upper)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the prior."""
+        """Return the prior's name and settings as a dict."""
         return {"distribution": "half-normal", "sd": self.sd, "at": self.at}
 
     @cached_property
@@ -83,7 +83,7 @@ class LogNormal(Prior):
     median : float
         Median, in the parameter's unit.
     sigma : float
-        Standard deviation of log x, without a unit.
+        Standard deviation of log x, dimensionless.
 
     Raises
     ------
@@ -123,7 +123,7 @@ class LogNormal(Prior):
 
     @property
     def gaussian_form(self) -> GaussianForm:
-        """The Gaussian of log x."""
+        """The Gaussian density of log x."""
         return GaussianForm(self.gaussian.mean, self.gaussian.sd, of_logarithm=True)
 
     @property
@@ -143,16 +143,16 @@ class LogNormal(Prior):
             return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the probability between two bounds."""
+        """Return the log-probability between two bounds."""
         return self.gaussian.log_mass(_log(lower), _log(upper))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        """Return quantiles of the distribution truncated to the bounds, at probabilities `p`."""
         with np.errstate(over="ignore"):
             return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the prior."""
+        """Return the prior's name and settings as a dict."""
         return {"distribution": "log-normal", "median": self.median, "sigma": self.sigma}
 
     @cached_property

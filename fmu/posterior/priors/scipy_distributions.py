@@ -1,4 +1,4 @@
-"""Priors that use SciPy's distribution functions: the scaled beta, and any continuous one of ``scipy.stats``.
+"""Priors that use SciPy's distribution functions: the scaled beta, and any continuous one in ``scipy.stats``.
 
 Probabilities are counted from the nearer tail, so that no digits are lost for bounds far out in a tail. The
 probability between the bounds must exceed the smallest double, about 1e-308.
@@ -24,7 +24,7 @@ _STEP, _EDGE = 1e-3, 1e-6
 
 
 class InvertedPrior(Prior):
-    """A prior given by its distribution function F, by 1 − F, and by the inverses of both."""
+    """A prior defined by its distribution function F, by 1 − F, and by the inverses of both."""
 
     @abstractmethod
     def cdf(self, x: ArrayLike) -> FloatArray:
@@ -48,7 +48,7 @@ class InvertedPrior(Prior):
             return float(np.log(self._mass(lower, upper)))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        """Return quantiles of the distribution truncated to the bounds, at probabilities `p`."""
         with np.errstate(all="ignore"):
             mass = self._mass(lower, upper)
             below, above = self.cdf(lower) + p * mass, self.sf(upper) + (1.0 - p) * mass
@@ -98,8 +98,8 @@ class ScaledBeta(InvertedPrior):
         Raises
         ------
         ValueError
-            If the mean is not between the ends, or the standard deviation exceeds that of any beta distribution
-            with this mean.
+            If the mean is not between the ends, or no beta distribution with this mean has so large a standard
+            deviation.
         """
         _require_order(low, high)
         if not low < mean < high:
@@ -150,7 +150,7 @@ class ScaledBeta(InvertedPrior):
         return np.asarray(self.high - (self.high - self.low) * betaincinv(self.b, self.a, p))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the prior."""
+        """Return the prior's name and settings as a dict."""
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
     def _parts(self, x: Any) -> tuple[FloatArray, FloatArray]:
@@ -215,7 +215,7 @@ class ScipyPrior(InvertedPrior):
         return np.where(value < np.inf, value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density by differences."""
+        """Return the derivative of the log-density by finite differences."""
         low, high = self.support
         with np.errstate(all="ignore"):
             centre = np.clip(x, low + _EDGE * self._spread, high - _EDGE * self._spread)

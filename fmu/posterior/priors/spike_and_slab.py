@@ -19,10 +19,10 @@ _HALVINGS = 60
 @check_arguments
 @dataclass(frozen=True)
 class SpikeAndSlab(InvertedPrior):
-    """A mixture of a wide normal distribution (the slab), of probability `share`, and a narrow one (the spike).
+    """A mixture of a wide normal distribution (the slab), with probability `share`, and a narrow one (the spike).
 
-    The prior follows George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889. The indicator of the slab is
-    integrated out, so that the density is smooth and only the quantity itself is inferred.
+    The prior follows George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889. The slab indicator is integrated
+    out, so that the density is smooth and only the quantity itself is inferred.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class SpikeAndSlab(InvertedPrior):
     sd : float
         Standard deviation of the slab, in the parameter's unit.
     spike : float
-        Standard deviation of the spike, in the parameter's unit: a quantity of this size is practically zero.
+        Standard deviation of the spike, in the parameter's unit: a quantity this small is practically zero.
     mean : float
         Mean of both distributions, in the parameter's unit.
 
@@ -94,7 +94,7 @@ class SpikeAndSlab(InvertedPrior):
         return 2.0 * self.mean - self.ppf(p)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict of the name and settings of the prior."""
+        """Return the prior's name and settings as a dict."""
         own = {"share": self.share, "sd": self.sd, "spike": self.spike, "mean": self.mean}
         return {"distribution": "spike-and-slab", **own}
 

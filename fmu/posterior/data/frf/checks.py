@@ -1,4 +1,4 @@
-"""Checks of the arrays of measured frequency response functions."""
+"""Check the arrays of measured frequency response functions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROUNDING = 1e-5
 
 
 def checked_frequencies(frequencies_hz: Any) -> FloatArray:
-    """Return the frequencies of the lines as an array (n_lines,), which may begin at 0 Hz.
+    """Return the line frequencies in Hz as an array (n_lines,), which may begin at 0 Hz.
 
     Raise ValueError if they are invalid.
     """
@@ -41,7 +41,7 @@ def checked_frequencies(frequencies_hz: Any) -> FloatArray:
 
 
 def complex_array(name: str, values: Any) -> ComplexArray:
-    """Return values as a complex array. Raise ValueError if they are not numbers."""
+    """Return `values` as a complex array; raise ValueError if they are not numbers."""
     try:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError):
@@ -52,7 +52,7 @@ def complex_array(name: str, values: Any) -> ComplexArray:
 
 
 def checked_values(values: Any, n_lines: int) -> ComplexArray:
-    """Return the values of FRFs as an array (n_frfs, n_lines). Raise ValueError if they have another shape."""
+    """Return FRF values as an array (n_frfs, n_lines); raise ValueError if they have another shape."""
     array = complex_array("values", values)
     if array.ndim == 1 and len(array) == n_lines:
         rule = f"must have shape (n_frfs, {n_lines}); put the values of one FRF in a list"
@@ -64,7 +64,7 @@ def checked_values(values: Any, n_lines: int) -> ComplexArray:
 
 
 def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -> tuple[Dof, ...]:
-    """Return the (place, direction) of each FRF. Raise ValueError for a wrong number, place or direction."""
+    """Return each FRF's (place, direction); raise ValueError for a wrong number, place or direction."""
     if len(dofs) != n_frfs:
         advice = "; repeat the point that stays where it is" if len(dofs) == 1 else ""
         raise ArgumentError(name, f"must be {n_frfs}, one per FRF", len(dofs), advice)
@@ -95,7 +95,7 @@ def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
 
 
 def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return the coherence γ² as an array (n_frfs, n_lines). Raise ValueError for a value outside 0 to 1."""
+    """Return the coherence γ² as an array (n_frfs, n_lines); raise ValueError for a value outside 0 to 1."""
     array = np.array(coherence, dtype=float)
     if array.shape != shape:
         raise ArgumentError("coherence", f"must have shape {shape}, FRFs x lines", array.shape)
@@ -108,7 +108,7 @@ def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
 
 
 def checked_bools(name: str, values: Any, shape: tuple[int, int]) -> BoolArray:
-    """Return booleans of shape (n_lines,) or (n_frfs, n_lines) as an array (n_frfs, n_lines).
+    """Broadcast booleans of shape (n_lines,) or (n_frfs, n_lines) to (n_frfs, n_lines).
 
     Raise ValueError if they are not booleans or have another shape.
     """
@@ -151,7 +151,7 @@ def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
 
 
 def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_sd: str) -> list[str]:
-    """Return a sentence, in a list, if some chosen values have no standard deviation.
+    """Return a list with one sentence if some chosen values have no standard deviation, otherwise an empty list.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_
     chosen, used : ndarray of bool, shape (n_frfs, n_lines)
         Values that the user chose, and the chosen values that have a standard deviation.
     name, of_sd : str
-        Names of the attributes that chose the lines, and that give the standard deviation.
+        Name of the attribute that chose the lines, and of the one that gives the standard deviation.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Warnings of measured frequency response functions that may have the wrong kind, polarity or position.
+"""Warn that measured frequency response functions may have the wrong kind, polarity or position.
 
 Let H = (iω)^k × receptance, with k = 0 for a receptance, 1 for a mobility and 2 for an accelerance. A lightly
 damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
 
-- Below the first resonance |H| rises with the power k of the frequency if the structure is supported, and with the
+- Below the first resonance |H| rises as the frequency to the power k if the structure is supported, and to the
   power k − 2 if it is free. At a driving point the phase is then 90° ahead of the phase at a resonance if the
   structure is supported, and 90° behind it if it is free.
 - At a resonance a receptance and an accelerance are imaginary, and a mobility is real.
@@ -44,14 +44,14 @@ _FEWEST_FREEDOM = 8.0
 
 
 class _Signs(NamedTuple):
-    """Evidence on the kind of FRFs; None or NaN if the FRFs are inconclusive.
+    """Evidence about the kind of FRF; None or NaN if the FRFs are inconclusive.
 
     Attributes
     ----------
     slope : float
-        Power of the frequency below the first resonance.
+        Exponent n in |H| ∝ ω^n below the first resonance.
     is_free : bool or None
-        Whether the structure is free, by the phases at driving points.
+        Whether the phases at driving points show that the structure is free.
     is_imaginary : bool or None
         Whether the FRFs are imaginary at resonances.
     """
@@ -61,12 +61,12 @@ class _Signs(NamedTuple):
     is_imaginary: bool | None
 
     def slope_fits(self, k: int) -> bool:
-        """Return True if the slope is possible for the kind k."""
+        """Return True if the slope is possible for FRFs of kind k."""
         slopes = {None: (k, k - 2), False: (k,), True: (k - 2,)}[self.is_free]
         return bool(np.isnan(self.slope)) or round(self.slope) in slopes
 
     def phase_fits(self, k: int) -> bool:
-        """Return True if the phase at resonances is possible for the kind k."""
+        """Return True if the phase at resonances is possible for FRFs of kind k."""
         return self.is_imaginary is None or self.is_imaginary == (k != 1)
 
 
@@ -79,7 +79,7 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
     k : int
         The power of iω by which receptances were multiplied to obtain the measured FRFs.
     freedom : float
-        Degrees of freedom of the standard deviations.
+        Degrees of freedom with which the standard deviations were estimated.
     """
     of_kind = _kind_doubts(spectra, k)
     of_power = [] if of_kind else _power_doubts(spectra, k)
@@ -111,7 +111,7 @@ def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
 
 
 def _signs(spectra: Spectra, k: int) -> _Signs | None:
-    """Return the evidence on the kind of the FRFs; None if they have no resonance."""
+    """Return the evidence about the kind of FRF, or None if the FRFs have no resonance."""
     whole_range = spectra._replace(used=np.isfinite(spectra.receptance))
     peaks = pick_peaks(whole_range, prominence=_PROMINENCE).frequencies_hz
     if not len(peaks):
@@ -144,7 +144,7 @@ def _signs(spectra: Spectra, k: int) -> _Signs | None:
 
 
 def _clear(spectra: Spectra, i: int) -> BoolArray:
-    """Return whether the values of FRF `i` stand out of the noise, shape (n_lines,)."""
+    """Return a mask (n_lines,) of the lines at which FRF `i` stands out of the noise."""
     height = np.abs(spectra.receptance[i])
     if spectra.sd is None:
         return np.isfinite(height)

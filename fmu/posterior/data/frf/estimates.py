@@ -1,4 +1,4 @@
-"""Estimates of frequency response functions: from repeated hits, and from time records by Welch's method."""
+"""Estimate frequency response functions from repeated hits, or from time records by Welch's method."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _SEGMENTS = 8
 
 
 class Estimate(NamedTuple):
-    """FRFs estimated from records, at the lines of their segments.
+    """FRFs estimated from records, at the frequency lines of the segments' spectra.
 
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_lines,)
-        Frequencies of the lines, from 0 Hz.
+        Line frequencies, from 0 Hz.
     values : ndarray of complex, shape (n_frfs, n_lines)
     coherence : ndarray, shape (n_frfs, n_lines)
     averages : float
@@ -35,7 +35,10 @@ class Estimate(NamedTuple):
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """Return |H| √((1 − γ²)/(2 γ² n)) of FRFs, infinite if γ² = 0; all arrays have shape (n_frfs, n_lines)."""
+    """Return the standard deviations |H| √((1 − γ²)/(2 γ² n)) of FRFs, infinite if γ² = 0.
+
+    All arrays have the shape (n_frfs, n_lines).
+    """
     with np.errstate(divide="ignore"):
         return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)))
 
@@ -97,7 +100,7 @@ def estimate_frfs(
     segment: int | None,
     overlap: float,
 ) -> Estimate:
-    """Return FRFs estimated from one force and the responses to it; see `fmu.FRFData.from_records`.
+    """Estimate FRFs from one force and the responses to it; see `fmu.FRFData.from_records`.
 
     The spectra are computed by Welch's method in `scipy.signal` (1967, IEEE Transactions on Audio and
     Electroacoustics 15, 70). Unless a segment is several times longer than the structure's decay time 1/(2π ζ f),
@@ -138,7 +141,7 @@ def estimate_frfs(
 
 
 def independent_averages(window: FloatArray, step: int, n_segments: int) -> float:
-    """Return the number of independent averages with the same variance as overlapping segments.
+    """Return the number of independent averages that would have the same variance as overlapping segments.
 
     This is K/(1 + 2 Σ_j (1 − j/K) ρ_j) for K segments, with ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch
     1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
@@ -147,7 +150,7 @@ def independent_averages(window: FloatArray, step: int, n_segments: int) -> floa
     ----------
     window : ndarray, shape (n_samples,)
     step : int
-        Number of samples from the start of one segment to the start of the next.
+        Number of samples between the starts of successive segments.
     n_segments : int
     """
     n, power = len(window), float(window @ window)
@@ -157,7 +160,7 @@ def independent_averages(window: FloatArray, step: int, n_segments: int) -> floa
 
 
 def _records(force: Any, response: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the forces (n_records, n_samples) and the responses (n_records, n_frfs, n_samples)."""
+    """Return the forces as (n_records, n_samples) and the responses as (n_records, n_frfs, n_samples)."""
     f, x = np.asarray(force, dtype=float), np.asarray(response, dtype=float)
     if f.ndim not in (1, 2) or f.size == 0:
         raise ArgumentError("force", "must have shape (n_samples,) or (n_records, n_samples)", f.shape)

@@ -1,4 +1,4 @@
-"""Modes identified from measured frequency response functions by sdypy-EMA, with the LSCF and LSFD methods.
+"""Identify modes from measured frequency response functions with sdypy-EMA's LSCF and LSFD methods.
 
 Least-squares complex frequency and least-squares frequency domain: Guillaume, Verboven & Vanlanduit 1998,
 *Proceedings of ISMA 23*, 183.
@@ -37,7 +37,7 @@ class IdentifiedModes(NamedTuple):
     Attributes
     ----------
     modes : ModalData
-        Frequencies, and shapes at the other ends of the FRFs with the reference.
+        Frequencies, and mode shapes at the far end of each FRF that has the reference at one end.
     damping : ndarray, shape (n_modes,)
         Damping ratios.
     missed_hz : ndarray, shape (n_missed,)
@@ -50,7 +50,7 @@ class IdentifiedModes(NamedTuple):
 
 
 def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, least_mpc: float) -> IdentifiedModes:
-    """Return the modes at the resonances of the FRFs of one reference; see `fmu.FRFData.identify_modes`.
+    """Return the modes at the resonances of the FRFs with one reference; see `fmu.FRFData.identify_modes`.
 
     Parameters
     ----------
@@ -61,6 +61,7 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
         Largest number of modes.
     reference : (place, direction), optional
     least_mpc : float
+        Smallest modal phase collinearity.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
 
 
 def _of_reference(spectra: Spectra, reference: Dof | None) -> tuple[list[int], tuple[Dof, ...]]:
-    """Return the rows of the FRFs with the reference at one end, and the points at their other ends.
+    """Return the row indices of the FRFs with the reference at one end, and the points at their other ends.
 
     The reference defaults to the drive or the response that most FRFs share. Raise ValueError if no FRF has it.
     """
@@ -107,7 +108,7 @@ def _of_reference(spectra: Spectra, reference: Dof | None) -> tuple[list[int], t
 
 
 def _check_lines(f: FloatArray) -> None:
-    """Raise ValueError unless there are enough lines, evenly spaced, at multiples of the spacing."""
+    """Raise ValueError unless there are enough frequency lines, evenly spaced at multiples of their spacing."""
     advice = "; pick_frequencies takes any lines"
     if len(f) < _FEWEST_LINES:
         raise ArgumentError("frequencies_hz", f"must be at least {_FEWEST_LINES} lines in use", len(f), advice)
@@ -118,13 +119,13 @@ def _check_lines(f: FloatArray) -> None:
 
 
 def _width(f: FloatArray, peaks: Peaks) -> FloatArray:
-    """Return the distance in Hz within which a pole belongs to each resonance."""
+    """Return the distance in Hz from each resonance within which a pole belongs to it."""
     spacing = (f[-1] - f[0]) / (len(f) - 1)
     return _WIDTHS * np.fmax(spacing, peaks.damping * peaks.frequencies_hz)
 
 
 def _poles(f: FloatArray, measured: Any, peaks: Peaks, k: int) -> tuple[FloatArray, FloatArray, Any]:
-    """Return frequencies (m,), Hz, damping ratios (m,) and modal constants (n_frfs, m) of poles near the peaks."""
+    """Return frequencies in Hz (m,), damping ratios (m,) and modal constants (n_frfs, m) of nearby poles."""
     try:
         from sdypy import EMA
     except ImportError:

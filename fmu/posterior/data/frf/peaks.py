@@ -1,4 +1,4 @@
-"""Resonances of measured frequency response functions, from the complex mode indicator function (CMIF)."""
+"""Find resonances in measured frequency response functions with the complex mode indicator function (CMIF)."""
 
 from __future__ import annotations
 
@@ -58,8 +58,9 @@ class Spectra(NamedTuple):
     receptance : ndarray of complex, shape (n_frfs, n_lines)
         NaN where there is no value.
     sd : ndarray, shape (n_frfs, n_lines), optional
-        Standard deviation of the real and of the imaginary part of the receptance.
+        Standard deviation of the receptance's real part, and of its imaginary part.
     used : ndarray of bool, shape (n_frfs, n_lines)
+        Whether the value is used.
     drives, responses : tuple of (place, direction)
         Drive and response of each FRF.
     labels : tuple of str
@@ -81,7 +82,7 @@ class Spectra(NamedTuple):
 
     @property
     def at_drive(self) -> BoolArray:
-        """Whether the response of each FRF is measured at its drive and in its direction, shape (n_frfs,)."""
+        """Mask of the driving-point FRFs: the response is measured at the drive and along it, shape (n_frfs,)."""
         return np.array([response == drive for response, drive in self.axes])
 
     @property
@@ -91,7 +92,7 @@ class Spectra(NamedTuple):
 
     @property
     def signs(self) -> FloatArray:
-        """Sign of each FRF, (n_frfs, 1): -1 if either its drive or its response has a minus direction, else 1."""
+        """Sign of each FRF, (n_frfs, 1): −1 if either its drive or its response has a minus direction, or 1."""
         minus = [
             drive[1].startswith("-") != response[1].startswith("-")
             for drive, response in zip(self.drives, self.responses, strict=True)
@@ -100,7 +101,7 @@ class Spectra(NamedTuple):
 
     @property
     def axes(self) -> list[tuple[Dof, Dof]]:
-        """The response and the drive of each FRF, without the minus of a direction."""
+        """Response and drive of each FRF, without the minus sign of a direction."""
         return [
             ((response[0], response[1].removeprefix("-")), (drive[0], drive[1].removeprefix("-")))
             for drive, response in zip(self.drives, self.responses, strict=True)
@@ -124,23 +125,23 @@ class _Peak(NamedTuple):
 def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMINENCE) -> Peaks:
     """Return the resonances at the peaks of the complex mode indicator function (CMIF).
 
-    The CMIF is the set of singular values of the matrix of mobilities (responses × drives) at each line (Shih,
-    Tsuei, Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest singular
-    value counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak of a lower
-    singular value is a second mode near the first if it is not much smaller, and has another shape and a separate
-    resonance. Otherwise two modes exchange their order there. If some FRFs of the matrix were not measured, the
-    root of the sum of the squares of all FRFs replaces the CMIF, and two modes within a half-power bandwidth are
-    one peak.
+    The CMIF is the set of singular values of the mobility matrix (responses × drives) at each line (Shih, Tsuei,
+    Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest singular value
+    counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak of a lower singular
+    value is a second mode near the first if it is not much smaller, and has another shape and a separate
+    resonance. Otherwise two modes exchange their order there. If some FRFs in the matrix were not measured, the
+    root of the sum of squares over all FRFs replaces the CMIF, and two modes within a half-power bandwidth are one
+    peak.
 
-    The singular vectors of a peak combine the FRFs into a single FRF with one mode. A rational function of order
-    two, fitted to the lines near the peak, gives frequency and damping. If the fit fails, the line of the peak and
-    the half-power bandwidth give them.
+    A peak's singular vectors combine the FRFs into a single FRF with one mode. A rational function of order two,
+    fitted to the lines near the peak, gives frequency and damping. If the fit fails, the peak's line and
+    half-power bandwidth give them.
 
     Parameters
     ----------
     spectra : Spectra
     n : int, optional
-        Largest number of resonances; the most prominent peaks are kept.
+        Largest number of resonances; the most prominent peaks are returned.
     prominence : float
         Smallest ratio of a peak to the higher of the adjacent valleys.
     """
@@ -173,7 +174,7 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 
 
 def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, damping: float) -> bool:
-    """Return True if a peak of a lower curve at line i is a second mode.
+    """Return True if a peak of a lower singular-value curve at line i is a second mode.
 
     Where two modes only exchange their order, the first curve has a valley. The resonance of a second mode, rad/s,
     must be within two lines and wider than one.
@@ -197,7 +198,7 @@ def fill_gaps(spectra: Spectra) -> ComplexArray:
 
 
 def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray:
-    """Return the FRFs as matrices (n_lines, n_responses, n_drives); one column of all FRFs if some are missing."""
+    """Return the FRFs as matrices (n_lines, n_responses, n_drives), or as one column if some are missing."""
     responses, drives = (list(dict.fromkeys(column)) for column in zip(*axes, strict=True))
     if len(set(axes)) < len(responses) * len(drives) or len(axes) > len(set(axes)):
         return np.ascontiguousarray(mobility.T)[:, :, None]
@@ -210,7 +211,7 @@ def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray
 def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
     """Return the largest standard deviation of the mobilities at each line, shape (n_lines,).
 
-    If it is unknown, it is estimated from the running median of the squared second differences over the lines;
+    If it is unknown, it is estimated from the running median of squared second differences over the lines; it is
     zero for fewer than `_NEIGHBOURS` lines.
     """
     from scipy.ndimage import median_filter
@@ -226,9 +227,9 @@ def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
 
 
 def lines_near(curve: FloatArray, i: int) -> slice:
-    """Return the lines around the peak at line i, down to `_NEAR` of its height.
+    """Return the slice of lines around the peak at line i, down to `_NEAR` of its height.
 
-    There are at most `_MOST_LINES` and, if possible, at least three on each side.
+    It has at most `_MOST_LINES` and, if possible, at least three lines on each side.
     """
     ends = []
     for side in (curve[i::-1], curve[i:]):
@@ -240,7 +241,7 @@ def lines_near(curve: FloatArray, i: int) -> slice:
 
 
 def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
-    """Return the angular frequency and the damping ratio of a receptance with one mode; None if the fit fails.
+    """Return the angular frequency and damping ratio of a receptance with one mode, or None if the fit fails.
 
     h (k − x² + i c x) = p_0 + p_1 x + p_2 x² with x = ω/ω_0 is linear in the real k and c and the complex p. The
     terms p_1 and p_2 represent the other modes and are omitted if there are few lines.
@@ -259,7 +260,7 @@ def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
 
 
 def _half_power(omega: FloatArray, height: FloatArray) -> float:
-    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r) from the frequencies where the height is 1/√2 of its peak.
+    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r), where the height is 1/√2 of its peak at ω_1 and ω_2.
 
     The result is NaN if the lines do not reach down to this height on both sides.
     """
