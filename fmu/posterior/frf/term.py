@@ -124,7 +124,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs at the lines that `every` uses; a subclass with model errors draws them given these data."""
+        """Return the FRFs at the lines that `every` uses; subclasses draw their model errors given these data."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
