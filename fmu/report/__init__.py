@@ -1,5 +1,5 @@
 """Reports: HTML pages, figures, and exports of the updated model.
 
-Reading order of the modules: run (a trace with its diagnosis), document (the parts of a page), sections, plots,
-pages, check_page, export.
+Reading order: run (a trace with its diagnosis), document (the parts of a page), sections, plots, pages,
+check_page, export.
 """

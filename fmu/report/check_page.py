@@ -1,4 +1,4 @@
-"""The HTML page of `fmu check`, which examines a problem before sampling."""
+"""The HTML page written by `fmu check`, which examines a problem before sampling."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _MOST_SHAPES = 12
 
 
 def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
-    """Write the results of a check of a problem as an HTML page.
+    """Write the results of a problem check as an HTML page.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
     Returns
     -------
     Path
-        The path of ``index.html`` in that directory, a self-contained file.
+        Path to ``index.html`` in that directory, a self-contained file.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 
 def check_page(found: Check) -> Page:
-    """Return the page of a check: verdicts, structure, modes, prior predictions, identifiability and gradient."""
+    """Return the page for a check: verdicts, structure, modes, prior predictions, identifiability and gradient."""
     sections = [_model(found), _modes(found), *_sensors(found), *_responses(found), _prior(found)]
     if found.identifiability is not None:
         sections.append(_identifiability(found.identifiability))
@@ -183,7 +183,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return a list with the section on test and model at the sensors; empty if no shapes were measured."""
+    """Return the section that compares test and model at the sensors, in a list that is empty without shapes."""
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -204,7 +204,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return a list with the section on measured frequency response functions; empty if there are none."""
+    """Return the section on measured frequency response functions, in a list that is empty without FRFs."""
     if found.frfs is None:
         return []
     table = found.frfs.table().reset_index()
@@ -224,7 +224,7 @@ def _responses(found: Check) -> list[PageSection]:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return pictures of the computed modes paired with the measured modes, for at most 12 measured modes."""
+    """Return figures that show each computed mode and the measured mode paired with it, at most 12."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):

@@ -1,4 +1,4 @@
-"""The contents of a report page as data classes; the HTML templates determine their layout."""
+"""Contents of a report page as data classes; the HTML templates determine their layout."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _Part:
-    """Base class of the parts of a page, with the properties that determine their layout."""
+    """Base class for the parts of a page, with the properties that determine their layout."""
 
     is_words: ClassVar[bool] = False
     fills_desk: ClassVar[bool] = False
@@ -86,7 +86,7 @@ class PageTable(_Part):
     rows : tuple of tuple of (str or Link)
         Each row is as long as the header; its first cell names the row.
     words : tuple of int
-        Indices of the columns of words, which are aligned to the left like the first column.
+        Indices of text columns, which are left-aligned like the first column.
     greyed : tuple of int
         Indices of the rows shown in grey: parameters that the data did not inform.
     """
@@ -111,12 +111,12 @@ class PageTable(_Part):
 
     @property
     def heading(self) -> str:
-        """The first sentence of the caption, without a full stop."""
+        """First sentence of the caption, without its full stop."""
         return _first_sentence(self.caption)
 
     @property
     def fits_beside(self) -> bool:
-        """Whether the estimated width of the table fits beside a narrow figure on a desktop screen."""
+        """Whether the table's estimated width fits beside a narrow figure on a desktop screen."""
         columns = zip(self.header, *self.rows, strict=True)
         letters = sum(max(_longest(head.split()), _longest(map(str, cells))) for head, *cells in columns)
         return _LETTER * letters + _PADDING * len(self.header) <= _BESIDE
@@ -132,9 +132,9 @@ class Picture(_Part):
         An SVG element with a text description for readers who cannot see it.
     caption : str
     width, height : int
-        The natural size in CSS pixels; the height is zero if unknown.
+        Natural size in CSS pixels; the height is zero if unknown.
     name : str
-        The stem of the file names under which a reader saves the picture or its data.
+        File name, without extension, under which a reader saves the figure or its data.
     content : mapping
         The plotted numbers for the script ``figures.js`` (`fmu.report.figure_data`); empty if there are none.
     """
@@ -149,23 +149,23 @@ class Picture(_Part):
 
     @property
     def is_high(self) -> bool:
-        """Whether the picture is so tall that the page collapses it under its heading."""
+        """Whether the figure is so tall that the page collapses it under its heading."""
         return self.height > _HIGH
 
     @property
     def heading(self) -> str:
-        """The first sentence of the caption, without a full stop."""
+        """First sentence of the caption, without its full stop."""
         return _first_sentence(self.caption)
 
     @property
     def packed(self) -> str:
-        """The content in the compressed format that the script reads."""
+        """Content in the compressed format that the page script reads."""
         return pack(self.content)
 
 
 @dataclass(frozen=True)
 class Pictures(_Part):
-    """Pictures that are placed side by side if the page is wide enough."""
+    """Figures that are placed side by side if the page is wide enough."""
 
     kind: ClassVar[str] = "pictures"
     pictures: tuple[Picture, ...]
@@ -179,7 +179,7 @@ class Pictures(_Part):
 
 @dataclass(frozen=True, eq=False)
 class View(_Part):
-    """A drawing that readers rotate, by the script ``structure.js``; hidden without scripts and in print.
+    """A structure drawing that the script ``structure.js`` lets readers rotate; hidden without it and in print.
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ class View(_Part):
 
     @property
     def packed(self) -> str:
-        """The content in the compressed format that the script reads."""
+        """Content in the compressed format that the page script reads."""
         return pack(self.content)
 
 
@@ -215,7 +215,7 @@ Part = Text | Items | PageTable | Picture | Pictures | View | Details
 
 @dataclass(frozen=True)
 class PageSection:
-    """A section of a page: a heading and the parts below the heading."""
+    """A section of a page: a heading and the parts below it."""
 
     id: str
     title: str
@@ -228,7 +228,7 @@ class PageSection:
 
     @property
     def omissions(self) -> tuple[str, ...]:
-        """An empty tuple: nothing is omitted."""
+        """An empty tuple, because nothing is omitted."""
         return ()
 
     @property
@@ -255,12 +255,12 @@ class Omitted:
 
     @property
     def shown(self) -> tuple[PageSection, ...]:
-        """An empty tuple: no section is shown."""
+        """An empty tuple, because no section is shown."""
         return ()
 
     @property
     def omissions(self) -> tuple[str, ...]:
-        """A tuple with one sentence that says what is omitted and why."""
+        """One sentence that says what is omitted and why, in a tuple."""
         return (f"{self.title}: {self.reason}.",)
 
 
@@ -269,7 +269,7 @@ NOTES = "Notes on the model and the data"
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on one question about a run: one line of the first screen, and the reasons below it.
+    """The verdict on one question about a run: one line on the first screen, and the reasons below it.
 
     Attributes
     ----------
@@ -277,7 +277,7 @@ class Verdict:
     is_good : bool or None
         Whether the answer is favourable; None if it is neither good nor bad.
     because : str
-        Heading of the list of reasons; empty for a fact, which needs no reasons.
+        Heading for the list of reasons; empty for a fact, which needs no reasons.
     reasons : tuple of str
         Reasons for the answer.
     said : str
@@ -296,12 +296,12 @@ class Verdict:
 
     @property
     def lists(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """The headings and contents of the lists below the first screen: reasons and notes, if not empty."""
+        """Headings and contents of the non-empty lists below the first screen: reasons and notes."""
         return tuple(one for one in ((self.because, self.reasons), (NOTES, self.notes)) if one[1])
 
     @property
     def tone(self) -> str:
-        """The style class of the answer: ``"fact"``, ``"unknown"``, ``"good"`` or ``"bad"``."""
+        """CSS class for the answer: ``"fact"``, ``"unknown"``, ``"good"`` or ``"bad"``."""
         if self.is_good is None:
             return "unknown" if self.because else "fact"
         return "good" if self.is_good else "bad"
@@ -314,7 +314,7 @@ class Page:
     Attributes
     ----------
     title : str
-        The heading: the name of the problem.
+        The heading: the problem's name.
     subtitle : str
         The subject of the page, below the heading.
     lead : str
@@ -326,9 +326,9 @@ class Page:
         The other pages of the report.
     footer : str
     assumptions : tuple of Part
-        The assumptions of the verdicts, in a box below the verdicts; no box if empty.
+        The assumptions behind the verdicts, in a box below them; no box if empty.
     drawing : Markup or str
-        A drawing of the structure in the head of the page; empty if there is no structure to draw.
+        A drawing of the structure in the page header; empty if there is no structure to draw.
     leading : tuple of PageSection
         Sections directly below the verdicts, before the reasons for the verdicts.
     """
@@ -362,27 +362,27 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def breaking_at_commas(text: str) -> str:
-    """Return a text whose lines break only after commas, for a narrow column."""
+    """Replace spaces by no-break spaces, so that lines in a narrow column break only after commas."""
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 
 def picture(
     axes: Axes | AxesArray, key: str, alt: str, caption: str, data: Mapping[str, object] | None = None
 ) -> Picture:
-    """Return the figure that contains `axes` as a picture on a page.
+    """Return the figure that contains `axes` as a `Picture` for a page.
 
     Parameters
     ----------
     axes : Axes or ndarray of Axes
         The axes of one figure.
     key : str
-        A prefix for the ids in the SVG element, unique on the page; also the name of the picture.
+        A prefix for the ids in the SVG element, unique on the page; also the picture's name.
     alt : str
         A description of the figure in words and numbers.
     caption : str
         The text below the figure.
     data : mapping, optional
-        The content of the picture. By default `figure_data` reads it from the figure.
+        The picture's content. By default `figure_data` reads it from the figure.
     """
     figure = np.asarray(axes).ravel()[0].figure
     svg = inline_svg(figure, key, alt)

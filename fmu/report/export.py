@@ -1,4 +1,4 @@
-"""Export of an updated model: system matrices, filled input decks and a problem file with the updated values."""
+"""Export an updated model: system matrices, filled input decks and a problem file with the updated values."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Exported:
     sampler : str
         Name of the sampler whose draws were used.
     remarks : tuple of str
-        Warnings about the exported values, a sentence each.
+        Warnings about the exported values, one sentence each.
     """
 
     directory: Path
@@ -96,7 +96,7 @@ def export(
     out: str | os.PathLike[str] | None = None,
     model: str | os.PathLike[str] | None = None,
 ) -> Exported:
-    """Write the updated parameter values of a run, and the model evaluated at these values.
+    """Write a run's updated parameter values, and the model evaluated at these values.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ def export(
         The sampler whose draws are used. By default `fmu.analysis.convergence.diagnosis.choose_run` selects it: a
         converged one if there is any, with the largest effective sample size.
     at : {"mean", "map"}
-        The exported values: the posterior mean, or the highest maximum of the posterior that the run found.
+        The exported values: the posterior mean, or the highest posterior maximum that the run found.
     out : path-like, optional
-        Output directory. The default is ``export`` in the directory of the run.
+        Output directory. The default is ``export`` in the run's directory.
     model : path-like, optional
         The problem file, needed if the run has no copy of it, or if the files that it names have moved.
 
@@ -117,15 +117,15 @@ def export(
     Exported
         The output directory, the exported files, the sampler used and warnings. The exported files are:
 
-        ``theta.csv``: the unit, start value, posterior mean, posterior standard deviation and exported value of
-        each parameter, in SI units, and what determined the value: the data, the prior or a combination.
+        ``theta.csv``: each parameter's unit, start value, posterior mean, posterior standard deviation and
+        exported value, in SI units, and what determined the value: the data, the prior or a combination.
 
-        ``updated.toml``: the problem file with the exported values as start values and its comments kept. The
+        ``updated.toml``: the problem file with the exported values as start values and its original comments. The
         files that it names are copied beside it.
 
         ``K.mtx``, ``M.mtx`` and ``dofs.csv``, for a structure: the stiffness and mass matrices at the exported
-        values, in Matrix Market format, and the degrees of freedom of their rows. If the geometry of the structure
-        is known, also the updated and measured mode shapes (`fmu.report.mode_files.write_modes`).
+        values, in Matrix Market format, and the degree of freedom in each row. If the structure's geometry is
+        known, also the updated and measured mode shapes (`fmu.report.mode_files.write_modes`).
 
         Input decks: each template that the problem file names, for its model or under ``[export]``, filled with
         the exported values (`fmu.formats.decks`).
@@ -138,9 +138,9 @@ def export(
     Raises
     ------
     ValueError
-        If the directory contains no traces, or no trace of `sampler`; if `at` is unknown, or is ``"map"`` and the
-        run found no maxima; if the problem is not the one that was sampled; or if the export would overwrite files
-        that fmu did not write.
+        If the directory contains no traces, or no trace from `sampler`; if `at` is unknown, or is ``"map"`` and
+        the run found no maxima; if the problem is not the one that was sampled; or if the export would overwrite
+        files that fmu did not write.
     """
     directory = Path(run_directory)
     if at not in AT:
@@ -184,10 +184,10 @@ def export(
 
 
 def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return a dict that maps each parameter of the structure to the inferred quantity exported as its value.
+    """Return the inferred quantity that is exported as the value of each structural parameter, keyed by its name.
 
-    This quantity is the parameter itself, the mean or median of its population, or the parameter's value in the
-    first test or group.
+    This quantity is the parameter itself, its population's mean or median, or its value in the first test or
+    group.
     """
     found = {}
     for parameter in parameters:
@@ -210,7 +210,7 @@ def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree,
 
 
 def read_problem(directory: Path, trace: xr.DataTree, model: Path | None = None) -> UpdatingProblem:
-    """Return the problem of a run, rebuilt with its reduced model.
+    """Rebuild a run's problem with its reduced model.
 
     Raises
     ------
@@ -299,7 +299,7 @@ def _remarks(
 
 
 def _from_prior(names: Sequence[str]) -> list[str]:
-    """Return a list with the warning that the data did not inform `names`; an empty list if `names` is empty."""
+    """Return a warning, in a list, that the data did not inform `names`; empty if `names` is empty."""
     if not names:
         return []
     come = "their values come from their priors" if len(names) > 1 else "its value comes from its prior"
@@ -313,7 +313,7 @@ def _not_in_a_deck(names: Sequence[str]) -> list[str]:
 
 
 def _incomplete(file: Path) -> list[str]:
-    """Return a list with a warning if the updated file needs files that were not copied, such as modules."""
+    """Return a warning, in a list, if the updated file needs files that were not copied, such as modules."""
     from fmu.config import ConfigurationError
 
     try:
@@ -327,9 +327,9 @@ def _incomplete(file: Path) -> list[str]:
 def write_matrices(
     model: SeparableModel, places: Mapping[str, Hashable], theta: FloatArray, about: str, folder: Path
 ) -> None:
-    """Write the lower triangles of the stiffness and mass matrices at `theta`, and the table of their rows.
+    """Write the stiffness and mass matrices at `theta` in Matrix Market format, and their row table as CSV.
 
-    The matrices are written in Matrix Market format, the table of degrees of freedom as CSV.
+    Only the lower triangles are written.
     """
     from scipy.io import mmwrite
 
@@ -362,10 +362,10 @@ def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, flo
 
 
 def dof_table(model: SeparableModel, places: Mapping[str, Hashable]) -> pd.DataFrame:
-    """Return a data frame with the degree of freedom of each row of the matrices.
+    """Return a data frame that names the degree of freedom in each matrix row.
 
-    Its columns are ``row`` (counted from 1), ``node``, ``place`` (the name of the node, empty if it has none) and
-    ``direction``; if the geometry is known, also the coordinates ``x``, ``y``, ``z`` of the node in m.
+    Its columns are ``row`` (counted from 1), ``node``, ``place`` (the node's name, empty if it has none) and
+    ``direction``; if the geometry is known, also the node's coordinates ``x``, ``y``, ``z`` in m.
     """
     import pandas as pd
 

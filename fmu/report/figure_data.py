@@ -1,9 +1,7 @@
-"""The numbers plotted in a Matplotlib figure, for values at the pointer, for zooming and for CSV files.
+"""Extract the numbers plotted in a Matplotlib figure, for values at the pointer, zooming and CSV files.
 
 Matplotlib is the only renderer: the page shows its SVG, and the script works on this SVG, so that print and
-screen show the same numbers. uPlot (50 kB) would draw every figure a second time and produces no SVG. Observable
-Plot with D3, Vega-Lite and Plotly's basic bundle would also draw every figure twice, and their sizes range from
-half of a page's 700 kB to more than all of it.
+screen show the same numbers. A JavaScript plotting library would draw every figure a second time.
 """
 
 from __future__ import annotations
@@ -34,14 +32,14 @@ _POINTS = 72.0
 
 
 def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]:
-    """Return a dict of the panels of a figure and the numbers plotted in them.
+    """Return the panels of a figure, and the numbers plotted in them, as a dict.
 
     Parameters
     ----------
     figure : Figure
         A figure whose layout is final.
     most : int
-        Approximate largest number of path ordinates to keep.
+        Approximate largest number of path points to return.
 
     Returns
     -------
@@ -51,7 +49,7 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
         label, whether it is logarithmic, and the names of named ticks) and ``series``. Each series has ``label``,
         ``colour``, ``kind`` (``"path"``, ``"points"``, ``"spans"`` or ``"cells"``), ``x`` and ``y``; spans also
         have ``high``, and cells ``values``.
-        ``every``: the thinning interval k; every k-th point of a path is kept.
+        ``every``: the thinning interval k; every k-th path point is returned.
     """
     from matplotlib.colors import to_hex
     from matplotlib.lines import Line2D
@@ -71,21 +69,21 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
 
 
 def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> dict[str, object]:
-    """Return a dict of draws and of the model frequencies at these draws, for the panels of `plot_corner`.
+    """Return draws, and the model frequencies at these draws, for the panels of `plot_corner`, as a dict.
 
     Parameters
     ----------
     axes : ndarray of Axes, shape (n, n)
     trace : xarray.DataTree
     names : sequence of str
-        The n parameters that are drawn.
+        The n parameters in the plot.
 
     Returns
     -------
     dict
-        The key ``pairs`` with a dict of ``panels``, n² of them, as in `figure_data` but without series; ``names``
-        and ``units`` of the parameters; ``columns``, the draws of each parameter in its unit; and ``modes``, each
-        with its ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency, in Hz.
+        The key ``pairs`` with a dict of ``panels``, n² of them, as in `figure_data` but without series; parameter
+        ``names`` and ``units``; ``columns``, each parameter's draws in its unit; and ``modes``, each with its
+        ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency, in Hz.
     """
     units = [unit_of(trace, name) for name in names]
     draws = [
@@ -112,7 +110,7 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
 
 
 def _panel(axes: Axes) -> dict[str, object]:
-    """Return a dict of the box, the title and both axes of a panel."""
+    """Return a panel's position, its title and both axes as a dict."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")
@@ -126,12 +124,12 @@ def _panel(axes: Axes) -> dict[str, object]:
 
 
 def plain(text: str) -> str:
-    """Return a label in one line, with escaped dollar signs unescaped."""
+    """Return a label on one line, with escaped dollar signs unescaped."""
     return " ".join(text.replace(r"\\$", "$").replace(r"\$", "$").split())
 
 
 def _below(axes: Axes) -> str:
-    """Return the label of the abscissa; panels without a label take it from a panel that shares the abscissa."""
+    """Return the label of the x-axis, which panels without a label take from a panel that shares the axis."""
     together = axes.get_shared_x_axes().get_siblings(axes)
     return axes.get_xlabel() or next((other.get_xlabel() for other in together if other.get_xlabel()), "")
 
@@ -153,7 +151,7 @@ def _axis(axis: Axis, limits: tuple[float, float], label: str) -> dict[str, obje
 
 
 def _paths(axes: Axes) -> list[Line2D]:
-    """Return the lines in `axes` that show data, without reference lines that cross the whole axes."""
+    """Return the lines in `axes` that show data, leaving out reference lines that cross the whole axes."""
     return [
         line for line in axes.lines if line.get_transform() == axes.transData and len(np.asarray(line.get_xdata()))
     ]
@@ -188,7 +186,7 @@ def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, obj
 
 
 def _bars(axes: Axes) -> list[dict[str, object]]:
-    """Return a series of the ends of horizontal bars or the tops of vertical bars, for each group of bars."""
+    """Return one series for each group of bars: the ends of horizontal bars or the tops of vertical bars."""
     from matplotlib.colors import to_hex
     from matplotlib.container import BarContainer
 

@@ -56,7 +56,7 @@ class OutputDirectory:
 
     @contextmanager
     def stage_files(self) -> Iterator[Path]:
-        """Yield an empty directory for files, which are published at the end unless an error occurs."""
+        """Yield an empty directory for new files; publish them at the end unless an error occurs."""
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))
@@ -70,10 +70,10 @@ class OutputDirectory:
                     path.rmdir()
 
     def _publish(self, stage: Path) -> None:
-        """Move every file of `stage` into place, and remove files of an earlier run that `stage` does not contain.
+        """Move every file in `stage` into place, and remove an earlier run's files that `stage` does not contain.
 
-        The manifest lists each file before the file is moved into place. After an interruption, all moved files
-        are therefore known to be written by fmu.
+        The manifest lists each file before it is moved into place. After an interruption, all moved files are
+        therefore known to be written by fmu.
         """
         names = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
         self.check(names)
@@ -88,7 +88,7 @@ class OutputDirectory:
         self._write(set(names))
 
     def _stands(self, name: str) -> bool:
-        """Return True if a file of this name exists, or if a file exists where a parent directory is needed."""
+        """Return True if a file with this name exists, or if a file exists where a parent directory is needed."""
         path = self.root / name
         above = [parent for parent in path.parents if self.root in parent.parents]
         return os.path.lexists(path) or any(os.path.lexists(p) and not p.is_dir() for p in above)
@@ -119,7 +119,7 @@ class OutputDirectory:
 def _relative(names: Iterable[str]) -> list[str]:
     """Return the names, after checking them.
 
-    Raises ValueError if a name is not a path below the directory, or is the name of the manifest.
+    Raise ValueError if a name is not a path below the directory, or is the name of the manifest.
     """
     checked = []
     for name in names:

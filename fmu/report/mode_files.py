@@ -1,4 +1,4 @@
-"""Files of updated and measured mode shapes for ParaView (VTU) and for modal-testing software (UFF)."""
+"""Write updated and measured mode shapes for ParaView (VTU) and for modal-testing software (UFF)."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ _KEPT = 0.9
 
 
 def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> list[str]:
-    """Write the mode shapes of the structure at `theta` (ndim,), and the measured mode shapes, to `folder`.
+    """Write the structure's mode shapes at `theta` (ndim,), and the measured mode shapes, to `folder`.
 
-    ``modes.vtu`` contains the mesh, the displacements in each updated mode, and those in each measured mode,
-    expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode. If pyuff is installed,
-    ``updated.uff`` contains nodes, elements and updated modes, and ``measured.uff`` the sensors and the measured
-    modes, as datasets 2411, 2412 and 55. Nothing is written for a model without geometry or with several tests.
+    ``modes.vtu`` contains the mesh, the displacements in each updated mode and in each measured mode. Measured
+    modes are expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode. If pyuff is
+    installed, ``updated.uff`` contains nodes, elements and updated modes, and ``measured.uff`` the sensors and the
+    measured modes, as datasets 2411, 2412 and 55. Nothing is written for a model without geometry or with several
+    tests.
 
     Returns
     -------
     list of str
-        Warnings about the files, a sentence each.
+        Warnings about the files, one sentence each.
     """
     paired = structure_of(problem.model)
     if paired is None or paired.structure.geometry is None:
@@ -84,7 +85,7 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
 
 
 def _move_nodes(model: SeparableModel, shape: FloatArray) -> FloatArray:
-    """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), for a mode shape (n_dof,)."""
+    """Return the displacements of all mesh nodes, shape (n_nodes, 3), for a mode shape (n_dof,)."""
     assert model.geometry is not None
     moved = np.zeros((len(model.geometry.nodes), 3))
     for row, direction, seen_by in model.locate_motions():
@@ -96,7 +97,7 @@ def _move_nodes(model: SeparableModel, shape: FloatArray) -> FloatArray:
 def _expand_shapes(
     problem: UpdatingProblem, model: SeparableModel, theta: FloatArray, shapes: FloatArray
 ) -> tuple[Expanded | None, list[str]]:
-    """Return the measured shapes expanded to all degrees of freedom, and a list of warnings.
+    """Expand the measured shapes to all degrees of freedom; return them and a list of warnings.
 
     The expanded shapes are None if no shapes were measured or if the expansion fails.
     """

@@ -34,9 +34,9 @@ _CORNER = (0.6, 0.45)
 
 
 def model_view(run: ReportedRun) -> View | None:
-    """Return a view of the structure with its modes, coloured by the changes of the parameters.
+    """Return a view of the structure with its modes, coloured by the parameter changes.
 
-    Returns None if the trace has no geometry or no displacements, or if the structure has too many elements.
+    Return None if the trace has no geometry or no displacements, or if the structure has too many elements.
     """
     found = sketch_of(run.trace)
     if found is None or len(found.elements) > MOST_LINES or not has(run.trace, GROUP, "displacement"):
@@ -63,19 +63,19 @@ def model_view(run: ReportedRun) -> View | None:
 
 
 def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond: str) -> View:
-    """Return a view of the structure, coloured by the losses of the parameters and by their probabilities.
+    """Return a view of the structure, coloured by the parameters' losses and by their probabilities.
 
     Parameters
     ----------
     found : Sketch
         The structure.
     names : sequence of str
-        The parameters of the structure, in the order of the columns of ``found.changed``.
+        Structural parameters, in the order of the columns in ``found.changed``.
     table : pandas.DataFrame
         One row per state and parameter. The columns are the mean and the standard deviation of the loss,
         ``eti90_lb``, ``eti90_ub``, and the probability that the loss is larger than `beyond`.
     beyond : str
-        The threshold of the loss as text, such as ``"5 %"``.
+        The loss threshold as text, such as ``"5 %"``.
     """
     said: dict[str, list[str]] = {}
     colourings = []
@@ -99,7 +99,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
 
 
 def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, object]:
-    """Return a dict of nodes, elements, their groups and the text of each group.
+    """Return nodes, elements, element groups and the text for each group as a dict.
 
     Elements that are changed by the same parameters form one group.
     """
@@ -120,7 +120,7 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
 
 
 def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
-    """Return a dict of the change of each parameter relative to its start value, its sd, and a text with both.
+    """Return each parameter's change relative to its start value, its sd, and a text with both, keyed by name.
 
     The change and its sd are NaN for a parameter that the data did not inform. Parameters without a nonzero start
     value are omitted.
@@ -153,7 +153,7 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return a dict of a colour scale for `values`, one fraction per element.
+    """Return a colour scale for `values`, one fraction per element, as a dict.
 
     The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
     """
@@ -163,7 +163,7 @@ def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return a dict of texts for each mode: its label, and its frequencies (before, after, measured)."""
+    """Return one dict of texts per mode: its label, and its frequencies (before, after, measured)."""
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []
     for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
@@ -174,7 +174,7 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
-    """Return a dict of displacements (mode, node, direction) before updating, at the posterior mean and measured.
+    """Return displacements (mode, node, direction) before updating, at the posterior mean and measured.
 
     The measured shapes are expanded to all nodes; they are omitted for large meshes.
     """
@@ -188,9 +188,9 @@ def _shapes(modes: xr.Dataset) -> dict[str, object]:
 
 
 def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
-    """Return a dict of the sensor positions and the measured displacements there.
+    """Return the sensor positions and the measured displacements there, as a dict.
 
-    If no shapes were measured, the dict contains the directions of the sensors and their nearest nodes instead.
+    If no shapes were measured, the dict contains the sensor directions and their nearest nodes instead.
     """
     if modes is not None and "measured" in modes and "site" in modes:
         seen = [measured_at(modes.isel(mode=k)) for k in range(modes.sizes["mode"])]
@@ -205,7 +205,7 @@ def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
 
 
 def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
-    """Return the azimuth and elevation of a view in rad that shows the motion of a straight structure."""
+    """Return the azimuth and elevation in rad from which the motion of a straight structure can be seen."""
     wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
     moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))
     if wide.sum() == 1 and not wide[2]:

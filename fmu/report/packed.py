@@ -1,4 +1,4 @@
-"""Compression of the data for the scripts of a page, as text without characters special in HTML."""
+"""Compress the data for a page's scripts into text without characters special in HTML."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _plain(content: object, arrays: list[bytes]) -> object:
 
 
 def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, object]:
-    """Append numbers to `arrays` as integers, and return a dict of their position, offset and step.
+    """Append numbers to `arrays` as integers; return their position, offset and step as a dict.
 
     A number is ``middle + step * integer``.
     """
@@ -86,7 +86,7 @@ def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, object]:
 
 
 def _append_array(array: AnyArray, arrays: list[bytes]) -> dict[str, object]:
-    """Append an array, aligned to four bytes, and return a dict of its offset in bytes, type and length."""
+    """Append an array, aligned to four bytes; return its offset in bytes, type and length as a dict."""
     kept = array.astype(array.dtype.newbyteorder("<")).tobytes()
     at = sum(map(len, arrays))
     arrays.append(kept + b"\0" * (-len(kept) % 4))

@@ -1,4 +1,4 @@
-"""The HTML report of a run: a self-contained page for each sampler, and an index page that compares samplers."""
+"""The HTML report on a run: a self-contained page for each sampler, and an index page that compares them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _SCRIPTS = ("data.js", "structure.js", "figures.js", "pairs.js", "tables.js", "s
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Return a dict from the name of each run to the file name of its page, valid in file systems and URLs.
+    """Return the file name of each run's page, valid in file systems and URLs, keyed by run name.
 
     If there is only one run, its page is ``index.html``.
     """
@@ -61,7 +61,7 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, ReportedRun]) -> Page:
-    """Return the page of one run."""
+    """Return the report page for one run; `files` has the pages' file names and `runs` all runs of the report."""
     others = [Link("All samplers", f"{INDEX}.html")] if len(runs) > 1 else []
     others += [Link(other.title, files[name]) for name, other in runs.items() if name != run.name]
     sections = _without_omissions(of_a_sampler(run))
@@ -83,13 +83,13 @@ def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, 
 
 
 def _dates(runs: Iterable[ReportedRun]) -> str:
-    """Return a sentence with the first and last sampling date; an empty string if no trace records its date."""
+    """Return a sentence with the first and last sampling date, or an empty string if no trace records its date."""
     days = sorted({str(run.trace.attrs["created_at"])[:10] for run in runs if "created_at" in run.trace.attrs})
     return f" Sampled on {' to '.join(dict.fromkeys((days[0], days[-1])))}." if days else ""
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
-    """Return the sections to show, followed by a section that lists the omitted sections with the reasons."""
+    """Return the sections to show, followed by a section that lists the omitted ones with the reasons."""
     found = tuple(found)
     sections = tuple(section for part in found for section in part.shown)
     omitted = tuple(sentence for part in found for sentence in part.omissions)
@@ -123,15 +123,15 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
 
 
 def _judged_run(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run on whose draws the verdicts on the model are based, as selected by `choose_run`."""
+    """Return the run whose draws the model verdicts are based on, as selected by `choose_run`."""
     verdicts = {name: run.diagnosis for name, run in runs.items()}
     return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
-    """Return the verdicts on the samplers, then the verdicts on the model from the draws of the selected run.
+    """Return the verdicts on the samplers, followed by the verdicts on the model from the selected run's draws.
 
-    The reasons for the verdicts on the model are given only on the page of the selected run.
+    The reasons for the model verdicts are given only on the selected run's page.
     """
     told = _judged_run(compared.runs)
     first, *others = (replace(one, reasons=(), notes=()) for one in of_the_model(told))
@@ -149,7 +149,7 @@ FOLDER = "report"
 
 @check_arguments
 def write_report(run_directory: str | os.PathLike[str]) -> Path:
-    """Write the report of a run from the traces in its directory.
+    """Write the report on a run from the traces in its directory.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     Returns
     -------
     Path
-        The path of ``report/index.html`` in that directory. Either all pages of the report are published, or none.
+        Path to ``report/index.html`` in that directory. Either all pages of the report are published, or none.
         Only an earlier report is overwritten.
 
     Raises
@@ -178,7 +178,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
 
 
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:
-    """Write the report of traces in memory as `write_report` does, and return the path of its index page."""
+    """Write the report on traces in memory as `write_report` does; return the path to its index page."""
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])
     with output.stage_files() as stage:
@@ -187,19 +187,19 @@ def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[
 
 
 def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[str]) -> Path:
-    """Write the report pages of traces that are in memory.
+    """Write the report pages for traces that are in memory.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of one or more samplers on the same problem, by the name of the run.
+        Traces from one or more samplers on the same problem, keyed by run name.
     directory : path-like
-        Output directory, created if it does not exist. Files of the same name are overwritten.
+        Output directory, created if it does not exist. Files with the same name are overwritten.
 
     Returns
     -------
     Path
-        The path of the index page, which for a single run is the page of the run.
+        Path to the index page; with a single run, this is the run's own page.
     """
     directory = Path(directory)
     with phase("report", len(traces) + 2) as under_way:
@@ -209,7 +209,7 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
 
 
 def _write_pages(runs: dict[str, ReportedRun], directory: Path, under_way: Phase) -> Path:
-    """Write the pages of the runs, and return the path of the index page."""
+    """Write the pages for all runs, and return the path to the index page."""
     files = file_names(runs)
     directory.mkdir(parents=True, exist_ok=True)
     index = directory / f"{INDEX}.html"
@@ -288,7 +288,7 @@ def prose(text: str) -> Markup:
 
 @cache
 def _script() -> tuple[Markup, str]:
-    """Return the script of all pages and its hash, which makes browsers run only this script."""
+    """Return the script used on all pages and its hash, which makes browsers run only this script."""
     files = resources.files("fmu.report") / "templates"
     parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
     text = re.sub(r"^\s+|^//.*\n", "", f'"use strict";\n{"".join(parts)}', flags=re.MULTILINE)

@@ -1,4 +1,4 @@
-"""A run with its summary, diagnosis and costs, computed once for all pages of the report."""
+"""A run with its summary, diagnosis and costs, computed once for all report pages."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class ReportedRun:
     Attributes
     ----------
     name : str
-        The key of the trace in the mapping given to `runs_of`.
+        The trace's key in the mapping given to `runs_of`.
     trace : xarray.DataTree
     summary : pandas.DataFrame
         The result of ``fmu.summary(trace)``.
     diagnosis : Diagnosis
     costs : pandas.Series
-        The row of this run in the result of ``fmu.compare``.
+        This run's row in the result of ``fmu.compare``.
     maxima : Maxima or None
         The maxima stored in the trace.
     prediction : pandas.DataFrame or None
@@ -52,17 +52,17 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """The full name of the sampler if the run is named after one, else the name of the run."""
+        """Full name of the sampler if the run is named after one, otherwise the run's name."""
         return TITLES.get(self.name, self.name)
 
     @property
     def sampler(self) -> str:
-        """The full name of the sampler."""
+        """Full name of the sampler."""
         return TITLES.get(str(self.trace.attrs["sampler"]), str(self.trace.attrs["sampler"]))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the parameters."""
+        """Names of the parameters."""
         return parameter_names(self.trace)
 
     def unit(self, name: str) -> Unit:
@@ -70,26 +70,26 @@ class ReportedRun:
         return unit_of(self.trace, name)
 
     def value(self, name: str, column: str) -> float:
-        """Return the entry of the summary for the parameter `name`, in the unit in which the report shows it."""
+        """Return a summary entry for the parameter `name`, in the unit in which the report shows it."""
         return float(self.summary[column][name]) / self.unit(name).factor
 
     @property
     def problem(self) -> dict[str, Any]:
-        """The configuration of the problem, as `UpdatingProblem.configuration` returns it.
+        """The problem's configuration, as `UpdatingProblem.configuration` returns it.
 
-        For a density that is not an `UpdatingProblem`, the dict contains what the trace records of it.
+        For a density that is not an `UpdatingProblem`, the dict contains only the entries that the trace records.
         """
         return problem_of(self.trace)
 
     @property
     def priors(self) -> dict[str, str]:
-        """The prior of each parameter in words, in customary units; parameters with unknown priors are omitted."""
+        """Each parameter's prior in words, in customary units; parameters with unknown priors are omitted."""
         known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
         return {p["name"]: breaking_at_commas(prior_in_words(p["prior"], p["unit"])) for p in known}
 
     @property
     def chains_in_words(self) -> str:
-        """The number and length of the chains, in words."""
+        """Number and length of the chains, in words."""
         posterior, walkers = self.trace["posterior"], walkers_of(self.trace)
         chains, steps = posterior.sizes["chain"], posterior.sizes["draw"] // walkers
         many = "" if chains == 1 else "s"
@@ -98,7 +98,7 @@ class ReportedRun:
 
 
 def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
-    """Return a dict with the `ReportedRun` of each trace, after comparing the traces with each other.
+    """Return each trace's `ReportedRun`, after comparing the traces with each other.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Conversion of Matplotlib figures to compact SVG for a page, with a description, real text and unique ids."""
+"""Convert Matplotlib figures to compact SVG for a page, with a description, real text and unique ids."""
 
 from __future__ import annotations
 
@@ -80,10 +80,10 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
 
 @contextmanager
 def _ticks_placed_once() -> Iterator[None]:
-    """Make Matplotlib update ticks only if the limits or the size of their axes have changed.
+    """Make Matplotlib update ticks only if their axes' limits or size have changed.
 
-    Matplotlib otherwise updates the ticks about ten times per figure, whenever it computes the extent of an
-    artist, which takes a fifth of the time for drawing figures.
+    Matplotlib otherwise updates the ticks about ten times per figure, whenever it computes an artist's extent,
+    which takes a fifth of the drawing time.
     """
     from matplotlib.axis import Axis
 
@@ -105,7 +105,7 @@ def _ticks_placed_once() -> Iterator[None]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Apply the layout of the figure once; Matplotlib itself would draw the whole figure once more to do so."""
+    """Apply the figure's layout once; Matplotlib itself would draw the whole figure once more to do so."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()

@@ -1,4 +1,4 @@
-"""Export of the problem file with updated start values, and of the files that it names."""
+"""Export the problem file with updated start values, and copy the files that it names."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _FROM_PRIOR = "from the prior: the data did not inform it"
 def updated_text(
     text: str, starts: Mapping[str, float], pairing: str | None, about: str, from_prior: Collection[str] = ()
 ) -> tuple[str, list[str]]:
-    """Return a problem file with new start values, and the list of strings in it that may be file names.
+    """Return a problem file with new start values, and the strings in it that may be file names.
 
     Parameters
     ----------
     text : str
-        The content of the original problem file.
+        The original problem file's content.
     starts : mapping of str to float
-        The start value of each parameter and inferred standard deviation by its name, SI units.
+        The start value of each parameter and inferred standard deviation, keyed by name, SI units.
     pairing : str or None
-        The pairing to write to the file; None to keep the pairing in the file.
+        The pairing to write to the file; None to leave the file's pairing unchanged.
     about : str
         The source of the values, written as a comment at the top.
     from_prior : collection of str
@@ -63,7 +63,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
     Returns
     -------
     dict of str to str
-        The new names of the copied files whose original names coincide with an exported file, by original name.
+        New names of the copied files whose original names coincide with an exported file, keyed by original name.
     """
     renamed = {}
     for word in dict.fromkeys(words):
@@ -85,7 +85,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
 
 
 def rename(text: str, names: Mapping[str, str]) -> str:
-    """Return the text of a problem file in which the file names are replaced according to `names`."""
+    """Replace the file names in a problem file's text according to `names`, which maps old to new."""
     import tomlkit
 
     if not names:

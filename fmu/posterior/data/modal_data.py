@@ -327,7 +327,7 @@ class ModalData:
         return cls(**(vars(modes) | own | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
-        """Return the same modes with other frequencies (n_modes,) in Hz; modes with NaN frequencies are dropped."""
+        """Return the same modes with other frequencies (n_modes,) in Hz; modes with NaN are left out."""
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:

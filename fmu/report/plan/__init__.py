@@ -1,1 +1,1 @@
-"""The page and the files of a planned test."""
+"""The page and the files for a planned test."""

@@ -1,4 +1,4 @@
-"""The files of a planned test: its page, the sensors as CSV and universal files, and a measurement to fill in."""
+"""Write a planned test's files: its page, the sensors as CSV and universal files, and a measurement to fill in."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SENSORS, GEOMETRY, MEASUREMENT = "sensors.csv", "geometry.uff", "measurement.tom
 
 @check_arguments
 def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: SimulatedTests | None = None) -> Path:
-    """Write the page of a plan, its sensors, a measurement to fill in and, if coordinates are known, a geometry.
+    """Write a plan's page, its sensors, a measurement to fill in and, if coordinates are known, a geometry.
 
     The files are ``index.html``, ``sensors.csv``, ``measurement.toml`` and ``geometry.uff``.
 
@@ -36,7 +36,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
     Returns
     -------
     Path
-        The path of ``index.html`` in that directory.
+        Path to ``index.html`` in that directory.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 
 
 def measurement_table(plan: Plan) -> str:
-    """Return the ``[measurement]`` table of a problem file with the planned sensors and placeholder values."""
+    """Return a problem file's ``[measurement]`` table with the planned sensors and placeholder values."""
     seen, modes = plan.design.found.nominal, list(plan.design.modes)
     f = seen.frequencies[0, modes]
     rows = plan.design.candidates.rows(plan.every)

@@ -1,4 +1,4 @@
-"""The HTML page of a planned test."""
+"""The HTML page for a planned test."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CASES = (
 
 
 def plan_page(plan: Plan, simulated: SimulatedTests | None = None) -> Page:
-    """Return the page of a plan: verdicts, sensors, accuracy, customary choices, and further tests."""
+    """Return the page for a plan: verdicts, sensors, accuracy, customary choices, and further tests."""
     n = len(plan.chosen)
     lead = f"{len(plan.design.names)} parameters, {len(plan.design.modes)} modes, {n} sensors. {date.today()}."
     sections = [_sensors(plan), _accuracy(plan), _choices(plan), _further(plan)]
@@ -177,7 +177,7 @@ def _show_simulated_tests(found: SimulatedTests) -> PageSection:
 
 
 def table_of(caption: str, table: pd.DataFrame) -> PageTable:
-    """Return a data frame as a table on a page."""
+    """Convert a data frame to a table on a page."""
     header = tuple(str(name).replace("_", " ") for name in (table.index.name, *table.columns))
     rows = tuple((str(i), *map(cell, row)) for i, row in zip(table.index, _rows(table), strict=True))
     return PageTable(caption, header, rows)

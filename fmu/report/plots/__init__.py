@@ -1,7 +1,7 @@
-"""Figures of posterior draws, with a fixed colour for each sampler and units on every axis.
+"""Plots of posterior draws, with a fixed colour for each sampler and units on every axis.
 
-Each plot function takes traces, draws on a given or a new Matplotlib Figure and returns the Axes; it does not use
-the global state of Matplotlib. To add a plot, write it in a module of this package and import it below.
+Each plot function takes traces, plots on a given or a new Matplotlib Figure and returns the Axes; it does not use
+Matplotlib's global state. To add a plot, write it in a module of this package and import it below.
 """
 
 from fmu.report.plots.chains import plot_autocorrelation as plot_autocorrelation

@@ -1,4 +1,4 @@
-"""Figures of the chains: paths, ranks, autocorrelation, energies, and running means and R-hat."""
+"""Plots of the chains: trace plots, ranks, autocorrelation, energies, and running means and R-hat."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MAX_POINTS = 1500
 def plot_traces(
     traces: Mapping[str, xr.DataTree], published: ArrayLike | None = None, figure: Figure | None = None
 ) -> style.AxesArray:
-    """Draw the paths of the chains, one row per parameter and one column per trace, with the warm-up shaded.
+    """Plot the chains against step number, one row per parameter and one column per trace, with warm-up shaded.
 
     For an ensemble, one walker is shown. The axes fit the retained draws, so the warm-up may extend beyond them.
     Dashed lines are bounds.
@@ -42,7 +42,7 @@ def plot_traces(
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        The traces by the titles of their columns.
+        Traces, keyed by the titles of their columns.
     published : array_like, shape (parameters,), optional
         Published values to compare with the first trace, SI units.
     figure : Figure, optional
@@ -76,7 +76,6 @@ def plot_traces(
 
 
 def _say_above(axes: Axes, x: float, words: str, side: Literal["center", "right"] = "center") -> None:
-    """Write a small label above the axes."""
     axes.text(x, 1.0, words, transform=axes.get_xaxis_transform(), ha=side, va="bottom", fontsize=style.FONT - 2,
               color=style.GREY)  # fmt: skip
 
@@ -89,7 +88,7 @@ def _compare(axes: Axes, value: float) -> None:
 
 
 def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
-    """Draw the paths of all chains for one parameter, with an axis label that fits in `room` inches."""
+    """Plot all chains for one parameter, with an axis label that fits in `room` inches."""
     unit = style.unit_of(trace, name)
     walkers = int(trace.attrs["walkers"])
     warm, kept = (
@@ -118,12 +117,12 @@ _LAGS = 100
 
 
 def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw ArviZ's rank plots, one row per parameter; chains with the same distribution stay near zero.
+    """Plot the ranks of each chain's draws with ArviZ, one row per parameter.
 
-    The plot shows the difference between the distribution of a chain's ranks among all draws and the uniform
-    distribution. The p-value is from a multi-chain test of uniformity; if it is below 1 %, the deviating ranks
-    are marked. The test assumes independent draws, so the chains are thinned to their effective sample size, but
-    to at least 20 and at most 500 draws per chain.
+    The plot shows how far the distribution of a chain's ranks among all draws differs from the uniform
+    distribution. Chains with the same distribution stay near zero. The p-value is from a multi-chain test of
+    uniformity; if it is below 1 %, the deviating ranks are marked. The test assumes independent draws, so the
+    chains are thinned to their effective sample size, but to at least 20 and at most 500 draws per chain.
 
     Parameters
     ----------
@@ -155,7 +154,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
 
 
 def draw_ranks(thinned: xr.Dataset, axes: style.AxesArray, colours: list[str]) -> None:
-    """Draw ArviZ's rank plots of independent draws (chain, draw), with one parameter on each axes."""
+    """Plot the ranks of independent draws (chain, draw) with ArviZ, one parameter on each axes."""
     import xarray as xr
     from arviz_plots import plot_rank
     from arviz_plots.plot_collection import PlotCollection
@@ -186,12 +185,12 @@ def draw_ranks(thinned: xr.Dataset, axes: style.AxesArray, colours: list[str]) -
 
 
 def _independent(trace: xr.DataTree) -> float:
-    """Return the smallest bulk ESS over the parameters; NaN if the ESS of any parameter is undefined."""
+    """Return the smallest bulk ESS over the parameters, or NaN if any parameter's ESS is undefined."""
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
 def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw the autocorrelation of each chain up to a lag of 100 steps, one row per parameter.
+    """Plot each chain's autocorrelation up to a lag of 100 steps, one row per parameter.
 
     For an ensemble, the autocorrelation is averaged over the walkers, about their common mean, as in the effective
     sample size.
@@ -221,10 +220,10 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> st
 
 
 def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the centred energies of Hamiltonian trajectories, and the energy changes between successive draws.
+    """Plot the centred energies of Hamiltonian trajectories, and the energy changes between successive draws.
 
-    If the distribution of the changes is much narrower than that of the energies, new momenta explore the
-    posterior poorly (Betancourt 2016, arXiv:1604.00695, section 2).
+    If the changes have a much narrower distribution than the energies, new momenta explore the posterior poorly
+    (Betancourt 2016, arXiv:1604.00695, section 2).
 
     Parameters
     ----------
@@ -273,7 +272,7 @@ _FLOOR = 1e-3
 def plot_running_means(
     trace: xr.DataTree, table: pd.DataFrame | None = None, figure: Figure | None = None
 ) -> style.AxesArray:
-    """Draw the running mean of each chain, one row per parameter.
+    """Plot each chain's running mean, one row per parameter.
 
     The band is the mean of all draws ± 2 standard errors.
 
@@ -309,7 +308,7 @@ def plot_running_means(
 
 
 def _logarithmic_steps(axes: Axes) -> None:
-    """Make the abscissa of steps logarithmic, with tick labels in decimal notation."""
+    """Make the step axis logarithmic, with tick labels in decimal notation."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
     axes.set_xscale("log")
@@ -320,7 +319,7 @@ def _logarithmic_steps(axes: Axes) -> None:
 
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the running R-hat of each parameter, with the limit that the convergence verdict uses.
+    """Plot each parameter's running R-hat, with the limit that the convergence verdict uses.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A corner plot of the marginals and pairs of a posterior."""
+"""A corner plot of a posterior's marginals and pairs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def plot_corner(
     figure: Figure | None = None,
     names: Sequence[str] | None = None,
 ) -> style.AxesArray:
-    """Draw all marginals and all pairs of a posterior, and mark the starting point, the bounds and the maximum.
+    """Plot all marginals and all pairs of a posterior; mark the starting point, the bounds and the maximum.
 
     Contours enclose 50 % and 90 % of the draws. Parameters that the data did not inform have grey names.
 
@@ -42,7 +42,7 @@ def plot_corner(
     ----------
     trace : xarray.DataTree
     maximum : array_like, shape (ndim,), optional
-        The parameters at the maximum of the posterior, SI units.
+        The parameters at the posterior maximum, SI units.
     figure : Figure, optional
     names : sequence of str, optional
         The n parameters shown; all parameters by default.
@@ -112,7 +112,7 @@ def plot_corner(
 def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tuple[float, float]]:
     """Return the range of each axis: the range of the draws with a margin, limited by the bounds.
 
-    Without this limit, the smoothing of the histograms would spread draws across a bound.
+    Without this limit, histogram smoothing would spread draws across a bound.
     """
     low, high = np.quantile(draws, (0.0005, 0.9995), axis=0)
     room = np.where(high > low, _ROOM * (high - low), np.fmax(1e-3 * np.abs(high), np.finfo(float).tiny))
@@ -132,7 +132,7 @@ class _Mark(TypedDict, total=False):
 
 
 def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
-    """Draw the points and bounds that are inside the axes; the legend says which points are outside."""
+    """Mark the points and bounds that are inside the axes; the legend lists the points that are outside."""
     from matplotlib.lines import Line2D
 
     styles: dict[str, _Mark] = {
@@ -191,6 +191,6 @@ def _arrange_ticks(panel: Axes, most: int) -> None:
 
 
 def _line_within(draw: Callable[..., object], value: float, limits: tuple[float, float]) -> None:
-    """Draw a line at a bound if it is between the limits or at one of them."""
+    """Add a line at a bound if it is between the limits or at one of them."""
     if limits[0] <= value <= limits[1]:
         draw(value, color=style.BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

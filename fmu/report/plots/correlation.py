@@ -1,4 +1,4 @@
-"""Figures of the agreement between test and model: MAC matrices, and CoMAC and ECoMAC of each sensor."""
+"""Plots of the agreement between test and model: MAC matrices, and CoMAC and ECoMAC by sensor."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def plot_mac_matrix(
     x: str = "measured shape",
     y: str = "measured shape",
 ) -> Axes:
-    """Draw a matrix of MAC values between mode shapes, with axis labels for an AutoMAC matrix by default.
+    """Plot a matrix of MAC values between mode shapes; the default axis labels suit an AutoMAC matrix.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def plot_mac_matrix(
         Names of the mode shapes.
     figure : Figure, optional
     x, y : str
-        Labels of the abscissa (columns) and of the ordinate (rows).
+        Labels for the x-axis (columns) and the y-axis (rows).
 
     Returns
     -------
@@ -77,7 +77,7 @@ def plot_mac_matrix(
 def plot_sensors(
     sensors: Sequence[str], states: Mapping[str, tuple[FloatArray, FloatArray]], figure: Figure | None = None
 ) -> NDArray[np.object_]:
-    """Draw CoMAC and ECoMAC of each sensor (`fmu.fem.pairing.correlation`) for one or two states of the model.
+    """Plot each sensor's CoMAC and ECoMAC (`fmu.fem.pairing.correlation`) for one or two states of the model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of the frequencies: measured, before updating and after updating."""
+"""Plots of the frequencies: measured, before updating and after updating."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Frequencies:
     ----------
     label : str
     hz : array_like, shape (n_modes,)
-        The frequencies in Hz.
+        Frequencies in Hz.
     colour : str
     filled : bool
         Whether the markers are filled.
     interval_hz : array_like, shape (2, n_modes), optional
-        The lower and upper ends of an interval for each frequency in Hz.
+        Lower and upper ends of each frequency's interval in Hz.
     """
 
     label: str
@@ -54,13 +54,13 @@ class Frequencies:
 def plot_frequency_errors(
     measured_hz: ArrayLike, series: Sequence[Frequencies], labels: Sequence[str], figure: Figure | None = None
 ) -> Axes:
-    """Draw the errors, in %, of several sets of frequencies relative to the measured frequencies.
+    """Plot the errors, in %, of several sets of frequencies relative to the measured frequencies.
 
     Parameters
     ----------
     measured_hz : array_like, shape (n_modes,)
     series : sequence of Frequencies
-        The sets of frequencies, drawn side by side for each mode in this order.
+        The sets of frequencies, side by side for each mode in this order.
     labels : sequence of str
         Labels of the modes.
     figure : Figure, optional
@@ -108,12 +108,12 @@ def plot_frequency_errors(
 
 
 def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the errors of the model's frequencies before and after updating.
+    """Plot the model's frequency errors before and after updating.
 
-    The frequencies before updating are drawn if the trace stores them. Those after updating are the posterior
+    The frequencies before updating are shown if the trace stores them. Those after updating are the posterior
     means, with the 90 % interval of a new measurement including noise, or without noise if no noise is modelled.
     For repeated tests, a new measurement is the mean of as many tests, and the 90 % interval of one more test is
-    drawn beside it. If the parameters are updated with frequency response functions alone, the intervals exclude
+    shown beside it. If the parameters are updated with frequency response functions alone, the intervals exclude
     noise.
 
     Parameters
@@ -155,7 +155,7 @@ def _new_figure(labels: Sequence[str]) -> Figure:
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the error, in %, of each measured frequency as predicted from the other modes.
+    """Plot the error, in %, in each measured frequency as predicted from the other modes.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
-    """Return the model's frequencies before updating in Hz, shape (n_modes,); None if the trace has none."""
+    """Return the model's frequencies before updating in Hz, shape (n_modes,), or None if the trace has none."""
     if has(trace, GROUP):
         return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
     if has(trace, "maxima"):
@@ -187,10 +187,10 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 
 
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw each measured frequency with its posterior predictive distribution (eq. 10 of the paper).
+    """Plot each measured frequency with its posterior predictive distribution (eq. 10 in the paper).
 
-    For repeated tests, this is the distribution of the mean of the tests. The single tests are drawn beside the
-    predictive interval of one more test.
+    For repeated tests, this is the distribution of the mean of the tests. The single tests are shown beside the
+    predictive interval for one more test.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     Raises
     ------
     ValueError
-        If the trace has no predictive distribution of measurements.
+        If the trace has no predictive distribution for measurements.
     """
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:

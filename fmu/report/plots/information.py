@@ -1,4 +1,4 @@
-"""Figures of the information in the data: prior and posterior densities, and sensitivities of the frequencies."""
+"""Plots of the information in the data: prior and posterior densities, and frequency sensitivities."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ MOST_MEASURED, _WRITTEN = 40, 12
 def plot_marginals(
     trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
 ) -> style.AxesArray:
-    """Draw the densities of each parameter before and after updating, with the starting point and the maximum.
+    """Plot each parameter's density before and after updating, with the starting point and the maximum.
 
     Parameters
     ----------
     trace : xarray.DataTree
         A trace with draws from the prior.
     maximum : array_like, shape (ndim,), optional
-        The parameters at the maximum of the posterior, SI units.
+        The parameters at the posterior maximum, SI units.
     figure : Figure, optional
 
     Returns
@@ -76,7 +76,7 @@ def plot_marginals(
 
 
 def _density(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the bin centres of a histogram and the densities, with an empty bin on either side."""
+    """Return a histogram's bin centres and densities, with an empty bin on either side."""
     low, high = x.min(), x.max()
     spread = high - low or max(1e-9 * abs(high), np.finfo(float).tiny)
     room = (
@@ -87,11 +87,11 @@ def _density(x: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the sensitivity matrix of the frequencies.
+    """Plot the frequencies' sensitivity matrix.
 
-    An entry is the change of a frequency, in standard deviations of its error, for a parameter change of one prior
-    standard deviation. The model is linearised at the highest maximum, or at the starting point if no maximum was
-    searched for. Other measured quantities are drawn only if there are no frequencies.
+    An entry is the frequency change, in error standard deviations, for a parameter change of one prior standard
+    deviation. The model is linearised at the highest maximum, or at the starting point if no maximum was searched
+    for. Other measured quantities are shown only if there are no frequencies.
 
     Parameters
     ----------

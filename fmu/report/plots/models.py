@@ -1,4 +1,4 @@
-"""Figures that compare several models of the same data: predictions of held-out modes, and parameters."""
+"""Plots that compare several models of the same data: predictions of held-out modes, and parameters."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _ROW = 0.16
 
 
 def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a dict of a colour for each model; the first model, the reference, is grey."""
+    """Return a colour for each model, keyed by name; the first model, the reference, is grey."""
     palette = [style.GREY, *style.PALETTE]
     return {name: palette[k % len(palette)] for k, name in enumerate(names)}
 
 
 def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = None) -> Axes:
-    """Draw the errors, in %, of each model's prediction of a mode from the other modes, with 90 % intervals.
+    """Plot the errors, in %, in each model's predictions of a mode from the other modes, with 90 % intervals.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
 
 
 def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> Axes:
-    """Draw the mean and 90 % interval of each parameter from every model, relative to its start value.
+    """Plot each parameter's mean and 90 % interval from every model, relative to its start value.
 
-    The parameters are those of the first model. Parameters that start at 0 are drawn in SI units.
+    The parameters are those of the first model. Parameters that start at 0 are shown in SI units.
 
     Parameters
     ----------

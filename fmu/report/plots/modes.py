@@ -1,4 +1,4 @@
-"""Figures of mode shapes before and after updating, and of their modal assurance criterion (MAC)."""
+"""Plots of mode shapes before and after updating, and of their modal assurance criterion (MAC)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ONE_COLUMN = 6
 
 
 def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None = None) -> Axes:
-    """Draw the modal assurance criterion (MAC) between the reference shapes and the model's mode shapes.
+    """Plot the modal assurance criterion (MAC) between the reference shapes and the model's mode shapes.
 
     The MAC of two proportional shapes is 1.
 
@@ -63,12 +63,12 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
 
 
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw each mode shape before updating (dashed) and at the posterior mean, and the measured mode shape.
+    """Plot each mode shape before updating (dashed) and at the posterior mean, and the measured mode shape.
 
     Diamonds are the measured components, and a dotted line is the measured shape expanded to the mesh. A straight
-    structure is drawn with its largest displacement upwards. Any other structure is drawn in its plane or in
-    isometric projection, with scaled displacements; more than six modes are drawn in two columns. Without geometry
-    the components of the mode shapes are drawn. Measured shapes are scaled to the posterior mean by least squares.
+    structure is shown with its largest displacement upwards. Any other structure is shown in its plane or in
+    isometric projection, with scaled displacements; more than six modes are shown in two columns. Without geometry
+    the mode shape components are plotted. Measured shapes are scaled to the posterior mean by least squares.
 
     Parameters
     ----------
@@ -122,12 +122,12 @@ def _is_wide(coordinates: FloatArray) -> BoolArray:
 
 
 def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
-    """Return the state, label, colour and line style of each mode shape drawn."""
+    """Return the state, label, colour and line style for each mode shape in the plot."""
     return (START, "before updating", style.GREY, "--"), (MEAN, "posterior mean", base, "-")
 
 
 def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
-    """Return the measured components of one mode scaled to the posterior mean, NaN where nothing was measured.
+    """Return one mode's measured components scaled to the posterior mean, NaN where nothing was measured.
 
     With ``of="expanded"``, return the expanded displacements of all nodes, scaled by the same factor. Return None
     if the mode has no such entry.
@@ -155,13 +155,13 @@ def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
 
 
 def _mark(axis: Axes, points: FloatArray) -> None:
-    """Draw diamonds for measured values at `points`, shape (n, 2)."""
+    """Add diamonds for measured values at `points`, shape (n, 2)."""
     axis.plot(*points.T, linestyle="none", marker="D", markersize=5, color=style.BLACK, markerfacecolor="white",
               label="measured", zorder=5)  # fmt: skip
 
 
 def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw a straight structure with the largest displacement upwards, and return the label of the abscissa."""
+    """Plot a straight structure with the largest displacement upwards; return the x-axis label."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     (along,) = np.flatnonzero(_is_wide(coordinates))
     first = one["displacement"].sel(state=START).to_numpy()
@@ -184,7 +184,7 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw a structure undeformed (thin lines) and deformed, and return the empty label of the abscissa."""
+    """Plot a structure undeformed (thin lines) and deformed; return the x-axis label, which is empty."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
     project = _projection(coordinates, one["displacement"].to_numpy())
@@ -202,7 +202,7 @@ def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw the mode-shape components of a structure without geometry, and return the label of the abscissa."""
+    """Plot the mode shape components of a structure without geometry; return the x-axis label."""
     x, places = np.arange(one.sizes["place"]), [str(label) for label in one["place"].to_numpy()]
     directions = {place.rpartition(" ")[2] for place in places}
     if len(directions) == 1:
@@ -222,14 +222,14 @@ def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
 def _lines(
     axis: Axes, nodes: FloatArray, ends: IntArray, shade: str, dashes: str, words: str = "", width: float = 1.8
 ) -> None:
-    """Draw all elements as one line, with gaps between elements that are not connected in sequence."""
+    """Plot all elements as one line, with gaps between elements that are not connected in sequence."""
     x, y = _strokes(nodes, ends).T
     axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width, label=words or None,
               rasterized=len(ends) > _MOST_STROKES)  # fmt: skip
 
 
 def _strokes(nodes: FloatArray, ends: IntArray) -> FloatArray:
-    """Return the points of a line through all elements, NaN at its gaps, shape (points, 2)."""
+    """Return the points on a line through all elements, shape (points, 2), with NaN at its gaps."""
     points: list[FloatArray] = []
     last = None
     for first, second in ends:
@@ -256,16 +256,16 @@ def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray
 def plot_mode(
     coordinates: FloatArray, ends: IntArray, displacement: FloatArray, figure: Figure | None = None
 ) -> Axes:
-    """Draw a structure and its deformed shape in one mode.
+    """Plot a structure and its deformed shape in one mode.
 
-    For a straight structure, the displacement in the direction of largest motion is drawn over the position. A
-    plane structure that moves in its plane is drawn in this plane, any other structure in isometric projection.
+    For a straight structure, the displacement in the direction of largest motion is plotted over the position. A
+    plane structure that moves in its plane is shown in this plane, any other structure in isometric projection.
 
     Parameters
     ----------
     coordinates : ndarray, shape (n_nodes, 3), m
     ends : ndarray of int, shape (n_elements, 2)
-        The indices of the end nodes of each element.
+        Indices of each element's end nodes.
     displacement : ndarray, shape (n_nodes, 3)
         The mode shape, scaled to a largest displacement of 1.
     figure : Figure, optional

@@ -1,4 +1,4 @@
-"""A figure of the parameters before and after updating."""
+"""A plot of the parameters before and after updating."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ def plot_parameter_updates(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Draw posterior means and 90 % intervals of the parameters, with bounds, start, maximum and published values.
+    """Plot the parameters' posterior means and 90 % intervals, with bounds, start, maximum and published values.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        The traces by their label in the legend, drawn side by side for each parameter.
+        Traces, keyed by their label in the legend, side by side for each parameter.
     published : mapping of str to array_like, shape (ndim,), optional
-        Published values to compare with the trace of the same label, SI units.
+        Published values to compare with the trace that has the same label, SI units.
     maximum : array_like, shape (ndim,), optional
-        The parameters at the maximum of the posterior, SI units.
+        The parameters at the posterior maximum, SI units.
     summaries : mapping of str to pandas.DataFrame, optional
         The result of ``fmu.summary(trace)`` for each trace, if already computed.
     figure : Figure, optional
@@ -51,7 +51,7 @@ def plot_parameter_updates(
     Returns
     -------
     ndarray of Axes, shape (units,)
-        One axes for the parameters of each unit, and one for inferred standard deviations of errors.
+        One axes for the parameters of each unit, and one for inferred error sds.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
@@ -92,12 +92,12 @@ def plot_parameter_updates(
 
 
 def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
-    """Return the names of the parameters that are standard deviations of errors."""
+    """Return the names of the parameters that are error standard deviations."""
     return frozenset((problem_of(trace).get("likelihood") or {}).get("noise", ()))
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
-    """Draw the ranges between the bounds and the start values, each only if finite, and label the axis."""
+    """Add the ranges between the bounds and the start values, each only if finite, and label the axis."""
     x = np.arange(len(members))
     lower, upper, start = (
         np.array([constant(trace, which, name) / style.unit_of(trace, name).factor for name in members])
@@ -119,7 +119,7 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
 def _intervals(
     axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
 ) -> None:
-    """Draw means with intervals at the abscissae `x`, in grey for parameters that the data did not inform."""
+    """Plot means with intervals at the positions `x`, in grey for parameters that the data did not inform."""
     factor = np.array([style.unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
     left = not_informed(trace)

@@ -1,4 +1,4 @@
-"""Figures that compare samplers of one posterior: forest plot, marginals, ranks, and growth of the ESS."""
+"""Plots that compare samplers of one posterior: forest plot, marginals, ranks, and growth of the ESS."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def plot_forest(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Draw the mean with 50 % and 90 % intervals of every parameter from every sampler, beside R-hat and ESS.
+    """Plot every parameter's mean with 50 % and 90 % intervals from every sampler, beside R-hat and ESS.
 
-    This is similar to ``plot_forest`` of ArviZ, which requires runs of the same length. Each parameter has its own
+    This is similar to ArviZ's ``plot_forest``, which requires runs of the same length. Each parameter has its own
     axes, because the units differ.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of the same posterior, by the names of the rows.
+        Traces of the same posterior, keyed by the names of the rows.
     summaries : mapping of str to pandas.DataFrame, optional
         The result of ``fmu.summary(trace)`` for each trace, if already computed.
     figure : Figure, optional
@@ -86,12 +86,12 @@ def plot_forest(
 
 
 def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> style.AxesArray:
-    """Draw the posterior densities of every parameter from all samplers on the same axes.
+    """Plot every parameter's posterior density from all samplers on the same axes.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of the same posterior, by the names in the legend.
+        Traces of the same posterior, keyed by the names in the legend.
     figure : Figure, optional
 
     Returns
@@ -128,16 +128,16 @@ def plot_ranks_of_samplers(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Draw ArviZ's rank plots of the samplers, which are near zero if all draw from the same distribution.
+    """Plot the ranks of the samplers' draws with ArviZ; all are near zero if the distributions agree.
 
     The plots are those of `plot_ranks`, with samplers in place of chains. The test in them assumes independent
-    draws. The draws of every sampler are therefore thinned to half of the smallest effective sample size, but to
+    draws. Every sampler's draws are therefore thinned to half of the smallest effective sample size, but to
     at least 20 and at most 500 draws.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        At least two traces of the same posterior, by the names in the legend.
+        At least two traces of the same posterior, keyed by the names in the legend.
     summaries : mapping of str to pandas.DataFrame, optional
         The result of ``fmu.summary(trace)`` for each trace, if already computed.
     figure : Figure, optional
@@ -178,18 +178,18 @@ def plot_growth(
     search: float = 0.0,
     figure: Figure | None = None,
 ) -> Axes:
-    """Draw the smallest effective sample size against the number of model solves as each run grew.
+    """Plot the smallest effective sample size against the number of model solves as each run grew.
 
     A dot marks where a run first met the convergence criterion.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of the same posterior, by the names in the legend.
+        Traces of the same posterior, keyed by the names in the legend.
     grown : mapping of str to Growth, optional
         The result of ``growth(trace)`` for each trace, if already computed.
     search : float
-        Number of model solves used by the search for maxima, added to the solves of each run.
+        Number of model solves in the search for maxima, added to each run's solves.
     figure : Figure, optional
 
     Returns

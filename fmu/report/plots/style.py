@@ -1,4 +1,4 @@
-"""The common style of figures: colours of samplers and chains (the palette of Okabe & Ito), sizes and units."""
+"""Common plot style: colours of samplers and chains (the palette of Okabe & Ito), sizes and units."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
 
 
 def colour(sampler: str) -> str:
-    """Return the colour of a sampler; grey for an unknown sampler."""
+    """Return a sampler's colour, or grey for an unknown sampler."""
     return COLOURS.get(sampler, GREY)
 
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
-    """Return the RGB values of a colour mixed with white; `share` is the fraction of white, from 0 to 1."""
+    """Mix a colour with white and return its RGB values; `share` is the fraction of white, from 0 to 1."""
     from matplotlib.colors import to_rgb
 
     red, green, blue = (share + (1.0 - share) * channel for channel in to_rgb(base))
@@ -82,7 +82,7 @@ def chain_colours(trace: xr.DataTree) -> list[str]:
 
 
 def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
-    """Add a legend of the chains' colours below the figure, if there are several chains of different colours."""
+    """Add a legend with the chain colours below the figure, if several chains have different colours."""
     from matplotlib.lines import Line2D
 
     shades = chain_colours(trace)
@@ -99,7 +99,7 @@ def unit_of(trace: xr.DataTree, name: str) -> Unit:
 
 
 def finish(axes: Axes, x: str = "", y: str = "") -> None:
-    """Label the axes, set the size of the tick labels and hide the top and right spines.
+    """Label the axes, set the tick label size and hide the top and right spines.
 
     Parameters
     ----------
@@ -122,14 +122,14 @@ def height_of_row(n: int) -> float:
 
 
 def stack_axes(n: int, figure: Figure | None, height: float | None = None, sharey: bool = False) -> AxesArray:
-    """Return `n` axes in a column with a shared abscissa, on the given figure or on a new narrow one."""
+    """Return `n` axes in a column with a shared x-axis, on the given figure or on a new narrow one."""
     height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
     return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
 
 
 def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
-    """Return `n` axes in two columns, shape (n,), with shared abscissa and ordinate if `shared` is True."""
+    """Return `n` axes in two columns, shape (n,), with shared x- and y-axes if `shared` is True."""
     axes = figure.subplots((n + 1) // 2, 2, sharex=shared, sharey=shared, squeeze=False).ravel()
     for spare in axes[n:]:
         spare.remove()
@@ -137,7 +137,7 @@ def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
 
 
 def broken(label: str, room: float) -> str:
-    """Return a label broken into at most three lines that fit in `room` inches, with the unit on its own line."""
+    """Break a label into at most three lines that fit in `room` inches, with the unit on its own line."""
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")
     if not slash or len(label) <= most:
@@ -147,7 +147,7 @@ def broken(label: str, room: float) -> str:
 
 
 def legend_below(axes: Axes) -> None:
-    """Add the legend of the axes below the figure, in as many columns as fit."""
+    """Move the axes' legend below the figure, in as many columns as fit."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")
@@ -161,12 +161,12 @@ def legend_below(axes: Axes) -> None:
 
 
 def literal(text: str) -> str:
-    """Return a text with escaped dollar signs, which Matplotlib would interpret as mathematics."""
+    """Escape dollar signs, which Matplotlib would interpret as mathematics."""
     return text.replace("$", r"\$")
 
 
 def thin_labels(labels: Sequence[str]) -> list[str]:
-    """Return tick labels with only every k-th label kept and the others empty, if there are too many to read."""
+    """Return tick labels in which only every k-th label is not empty, if there are too many to read."""
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 

@@ -1,4 +1,4 @@
-"""Figures for several tests of one structure: parameter values in each test, and losses."""
+"""Plots for several tests of one structure: parameter values in each test, and losses."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _BAR = {"elinewidth": 1.6, "capsize": 0, "marker": "o", "markersize": 3.5, "line
 
 
 def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw the value in each test of every parameter with a population, and the population.
+    """Plot each population with its parameter's value in every test.
 
-    The band is the mean ± sd of the population (for a log-normal population, of the logarithm), which shows the
-    variability of the structure. The bars are the central 90 % intervals of the values, which show the uncertainty
-    of the estimates.
+    The band is the population's mean ± sd (for a log-normal population, of the logarithm), which shows the
+    structure's variability. The bars are the central 90 % intervals of the values, which show how uncertain the
+    estimates are.
 
     Parameters
     ----------
@@ -81,21 +81,21 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesA
 
 
 def _sd_in_tests(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the posterior mean of the population's sd of `name` in each test, shape (n_tests,)."""
+    """Return the population sd of `name` in each test, averaged over the posterior, shape (n_tests,)."""
     means = {group: float(trace["posterior"][k].mean()) for group, k in sds_of_population(trace, name).items()}
     groups = [str(test["group"]) for test in problem_of(trace)["tests"]]
     return np.array([means.get(group, next(iter(means.values()))) for group in groups])
 
 
 def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
-    """Draw the loss of every parameter in each later state, with the probability that it is larger than `beyond`.
+    """Plot every parameter's loss in each later state, with the probability that it is larger than `beyond`.
 
     Parameters
     ----------
     trace : xarray.DataTree
         A trace with losses, as `fmu.damage` requires.
     beyond : float
-        The threshold of the loss as a fraction.
+        The loss threshold as a fraction.
     figure : Figure, optional
 
     Returns
@@ -123,22 +123,22 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
 
 
 def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
-    """Draw, against time, the probability that a loss is larger than `beyond`, and the losses.
+    """Plot, against time, the losses and the probability that they are larger than `beyond`.
 
-    The band around a loss is its central 90 % interval. Vertical bands are the central 90 % intervals of the
-    dates.
+    The band around a loss is its central 90 % interval. Vertical bands are the dates' central 90 % intervals.
 
     Parameters
     ----------
     trace : xarray.DataTree
         A trace with damage at an unknown date (`fmu.UndatedDamage`).
     beyond : float
-        The threshold of the loss as a fraction.
+        The loss threshold as a fraction.
     figure : Figure, optional
 
     Returns
     -------
-    ndarray of Axes: of the probability, and of the losses
+    ndarray of Axes
+        The probability, and the losses.
     """
     table, names = damage_by_test(trace, (beyond,)), list(map(str, trace[BY_TEST].data_vars))
     figure = figure or style.new_figure(WIDE, 4.2)
@@ -167,12 +167,12 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
 
 
 def _time_of(trace: xr.DataTree, name: str) -> str:
-    """Return the covariate that serves as time for a parameter's damage; empty for the order of the tests."""
+    """Return the covariate that serves as time for a parameter's damage, or an empty string if test numbers do."""
     return str(problem_of(trace)["by_date"][name])
 
 
 def _times(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the time of each test, shape (n_tests,), on the time axis of a parameter's damage."""
+    """Return the time of each test, shape (n_tests,), on the time axis for a parameter's damage."""
     tests, by = problem_of(trace)["tests"], _time_of(trace, name)
     return np.array([test["covariates"][by] if by else t + 1.0 for t, test in enumerate(tests)])
 

@@ -1,4 +1,4 @@
-"""Sections on the chains: traces, ranks, autocorrelation, running means, pairs of parameters, energies."""
+"""Report sections on the chains: traces, ranks, autocorrelation, running means, parameter pairs, energies."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TOO_FEW = "there are too few draws"
 
 
 def reliability(run: ReportedRun) -> PageSection:
-    """Return the section with R-hat, effective sample sizes and Monte Carlo errors of each parameter."""
+    """Return the section with each parameter's R-hat, effective sample sizes and Monte Carlo errors."""
     rows = []
     for name in run.names:
         rhat, bulk, tail, error, sd = (
@@ -126,7 +126,7 @@ def _has_few_draws(run: ReportedRun) -> bool:
 
 
 def _furthest(axis: Axes) -> float:
-    """Return the largest absolute ordinate of the lines drawn."""
+    """Return the largest absolute y-value among the plotted lines."""
     return max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines)
 
 
@@ -175,7 +175,7 @@ def _running_rhat(run: ReportedRun) -> Picture:
 
 
 def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
-    """Return the section on pairs of parameters, limited to the `most` most strongly correlated parameters."""
+    """Return the section on parameter pairs, limited to the `most` most strongly correlated parameters."""
     title = "Pairs of parameters"
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
@@ -217,7 +217,7 @@ def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...
 
 
 def energies(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the energies of Hamiltonian trajectories."""
+    """Return the section on the energies of Hamiltonian trajectories, or `Omitted` for other samplers."""
     title = "Energies of the trajectories"
     if not has(run.trace, "sample_stats", "energy"):
         return Omitted(title, "this sampler has none")

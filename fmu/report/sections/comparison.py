@@ -1,4 +1,4 @@
-"""Sections that compare samplers of one posterior by the same criterion, with emcee as the baseline."""
+"""Report sections that compare samplers of one posterior by the same criterion, with emcee as the baseline."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Compared:
     ----------
     runs : mapping of str to ReportedRun
     grown : mapping of str to Growth
-        R-hat and effective sample size of each run as it grew.
+        Each run's R-hat and effective sample size as it grew.
     costs : pandas.DataFrame
         The result of ``costs_side_by_side`` for the runs.
     agreed : Agreement
-        The agreement of the posterior estimates.
+        How well the posterior estimates agree.
     """
 
     runs: Mapping[str, ReportedRun]
@@ -64,7 +64,7 @@ class Compared:
 
     @classmethod
     def of(cls, runs: Mapping[str, ReportedRun]) -> Compared:
-        """Return the comparison of the given runs, with everything that the sections share."""
+        """Compare the given runs and return everything that the sections share."""
         traces = {name: run.trace for name, run in runs.items()}
         grown = {name: growth(trace) for name, trace in traces.items()}
         agreed = agreement(traces, {name: run.summary for name, run in runs.items()})
@@ -72,12 +72,12 @@ class Compared:
 
     @property
     def traces(self) -> dict[str, xr.DataTree]:
-        """The trace of each run, by its name."""
+        """Each run's trace, keyed by run name."""
         return {name: run.trace for name, run in self.runs.items()}
 
     @property
     def summaries(self) -> dict[str, pd.DataFrame]:
-        """The summary of each run, by its name."""
+        """Each run's summary, keyed by run name."""
         return {name: run.summary for name, run in self.runs.items()}
 
 
@@ -98,7 +98,7 @@ def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
 
 
 def _cost(found: Compared) -> Verdict:
-    """Return the verdict on the model solves that each sampler needed to meet the criterion, cheapest first."""
+    """Return the verdict on how many model solves each sampler needed to meet the criterion, cheapest first."""
     costs = found.costs.sort_values("criterion_solves")
     met = [(str(name), float(x)) for name, x in costs["criterion_solves"].items() if not np.isnan(x)]
     question = "What did they cost?"
@@ -115,7 +115,7 @@ def _cost(found: Compared) -> Verdict:
 
 
 def posterior(found: Compared) -> PageSection:
-    """Return the section on the posterior from every sampler, and on the growth of its effective sample size."""
+    """Return the section on every sampler's posterior, and on the growth of its effective sample size."""
     runs, traces = found.runs, found.traces
     seen = "; ".join(f"{row[0]} {', '.join(row[2:])} {row[1]}".rstrip() for row in _means(runs))
     forest = picture(
@@ -137,7 +137,7 @@ def posterior(found: Compared) -> PageSection:
 
 
 def costs(found: Compared, pages: Mapping[str, str]) -> PageSection:
-    """Return the section with the verdict, reliability and cost of each run, and a link to its page."""
+    """Return the section with each run's verdict, reliability and cost, and a link to its page."""
     rows = []
     for name, run in found.runs.items():
         cost, of = {column: float(found.costs[column][name]) for column in found.costs}, run.costs
@@ -170,14 +170,14 @@ def _is_baseline(run: ReportedRun) -> str:
 
 
 def _gradients(runs: Mapping[str, ReportedRun]) -> str:
-    """Return a sentence on the cost of an exact gradient in solves; empty if no gradients were evaluated."""
+    """Return a sentence on the cost of an exact gradient in solves, or "" if no gradients were evaluated."""
     known = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
     listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in known.items() if not np.isnan(cost))
     return f"An exact gradient costs as much as so many solves: {listed}." * bool(listed)
 
 
 def marginals(found: Compared) -> PageSection | Omitted:
-    """Return the section on the posterior densities from every sampler, and on the ranks of their draws."""
+    """Return the section on every sampler's posterior densities, and on the ranks of its draws."""
     title, runs = "Marginals and ranks", found.runs
     if len(runs) < 2:
         return Omitted(title, "there is one sampler")
@@ -204,7 +204,7 @@ def marginals(found: Compared) -> PageSection | Omitted:
 
 
 def paths(found: Compared) -> PageSection:
-    """Return the section with the trace plots of every sampler."""
+    """Return the section with every sampler's trace plots."""
     return PageSection(
         "paths", "Trace plots", (Text(LOOK_AT_PATHS), Pictures(tuple(map(_paths, found.runs.values()))))
     )
@@ -223,7 +223,7 @@ def _paths(run: ReportedRun) -> Picture:
 
 
 def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
-    """Return a row for each parameter: its name, its unit, and the mean with interval from each sampler."""
+    """Return one table row per parameter: its name, its unit, and the mean with interval from each sampler."""
     first, rows = next(iter(runs.values())), []
     for name in first.names:
         n = decimals(min(run.value(name, "sd") for run in runs.values()))
@@ -236,7 +236,7 @@ def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
 
 
 def _means_table(runs: Mapping[str, ReportedRun]) -> Details:
-    """Return the table of the posterior means from every sampler, hidden until opened."""
+    """Return the table of every sampler's posterior means, hidden until opened."""
     titles = (run.title for run in runs.values())
     words = "Posterior means and 90 % intervals"
     return Details(

@@ -1,4 +1,4 @@
-"""The section on prior and posterior densities, and the picture of the parameter sensitivities."""
+"""The report section on prior and posterior densities, and the figure of the parameter sensitivities."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LOOK_AT_SENSITIVITY = (
 
 
 def marginals(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the prior and posterior densities of each parameter."""
+    """Return the section on each parameter's prior and posterior density."""
     title, found = "Prior and posterior", information(run.trace)
     if found is None:
         return Omitted(title, "the trace has no draws from the prior")
@@ -46,7 +46,7 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
 
 
 def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
-    """Return sentences on the parameter sensitivities, and a picture of the sensitivity matrix.
+    """Return sentences on the parameter sensitivities, and a figure of the sensitivity matrix.
 
     The sensitivities are those of the linearised model.
     """

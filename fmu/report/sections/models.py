@@ -40,7 +40,7 @@ def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple
 
 
 def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return the verdict on the parameters that show a misfit; empty if no model has an inferred scatter.
+    """Return the verdict on the parameters that show a misfit, or () if no model has an inferred scatter.
 
     It is based on the model with the most inferred scatters.
     """
@@ -103,7 +103,7 @@ def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
 
 
 def misfit(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
-    """Return the section on the scatter of the parameters over the modes, for every group of parameters."""
+    """Return the section on how parameters scatter over the modes, for every group of parameters."""
     rows = [_scatter_row(name, one) for name, trace in traces.items() for one in scatters(trace)]
     title = "Where the misfit lives"
     if not rows:

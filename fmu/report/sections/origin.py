@@ -1,4 +1,4 @@
-"""Sections on the computational cost, the accuracy certificate, and the settings and versions of a run."""
+"""Report sections on a run's computational cost, accuracy certificate, settings and versions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LONG = 60
 
 
 def cost(run: ReportedRun) -> PageSection:
-    """Return the section on the cost of the run: model solves, time in s, and efficiency."""
+    """Return the section on the run's cost: model solves, time in s, and efficiency."""
     attrs, costs = run.trace.attrs, run.costs
     counts = []
     for words, name in (("model solves", "n_solves"), ("of which gradients", "n_gradients")):
@@ -43,7 +43,7 @@ def cost(run: ReportedRun) -> PageSection:
 
 
 def certificate(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the error of the reduced model or of the surrogate at the draws."""
+    """Return the section on the reduced model's or surrogate's error at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     of_surrogate = SurrogateCertificate.from_trace(attrs)
     if of_surrogate is not None:
@@ -82,7 +82,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
-    """Return the section on the error of the surrogate at draws of the posterior.
+    """Return the section on the surrogate's error at posterior draws.
 
     The sentences in `exact` say which draws are exact.
     """
@@ -109,7 +109,7 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
 
 
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
-    """Return the parts on the assumptions of the verdicts; empty for a density that is not an updating problem."""
+    """Return the assumptions behind the verdicts, or () for a density that is not an updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
     reduced = ReductionCertificate.from_trace(attrs)
     noise = run.problem.get("likelihood", {}).get("noise", ())
@@ -125,7 +125,7 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
 
 
 def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
-    """Return the list of assumptions and the table of the errors of the measured frequencies, if known.
+    """Return the list of assumptions and, if known, the table of measured frequency errors.
 
     The caption contains `inferred`, a sentence that says at which value an inferred σ is shown.
     """
@@ -140,7 +140,7 @@ def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
 
 
 def settings(run: ReportedRun) -> PageSection:
-    """Return the section on settings, seed, versions and the hash of the configuration."""
+    """Return the section on settings, seed, versions and the configuration's hash."""
     attrs = run.trace.attrs
     given, learnt = (json.loads(str(attrs[name])) for name in ("settings", "learnt"))
     before, after = dict(_flat(given)), dict(_flat(learnt))
@@ -165,7 +165,7 @@ def settings(run: ReportedRun) -> PageSection:
 
 
 def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the name and text of each entry of nested settings; long lists are described by size and range."""
+    """Yield each nested setting's name and text; long lists are described by size and range."""
     table, several = mapping_in(value), list_in(value) or []
     if table:
         for key, inner in table.items():
@@ -182,7 +182,7 @@ def _plain(key: str) -> str:
 
 
 def _in_words(value: object) -> str:
-    """Return the text of a setting for a table cell."""
+    """Return a setting as text for a table cell."""
     if value is None or value in ({}, []):
         return MISSING
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Sections on how well the posterior predicts the measurements."""
+"""Report sections on how well the posterior predicts the measurements."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _has_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]:
-    """Return a table of the predictions of the model alone, and of those that include model error and noise."""
+    """Return a table of the model's own predictions, and of predictions that include model error and noise."""
     rows = []
     for name, (_, row) in zip(names, table.iterrows(), strict=True):
         n = decimals(float(row["noisy_sd"]))
@@ -116,9 +116,9 @@ def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]
 
 
 def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
-    """Return a table that compares the repeated tests with the predictive distribution of one more test.
+    """Return a table that compares the repeated tests with the predictive distribution for one more test.
 
-    A list of warnings on the repeatability of the tests follows, if there are any.
+    A list of warnings about the tests' repeatability follows, if there are any.
     """
     table = run.prediction
     if table is None:
@@ -148,7 +148,7 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on predictions of each measured mode from the other modes."""
+    """Return the section that predicts each measured mode from the other modes."""
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")
@@ -193,7 +193,7 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _compared_quantity(trace: xr.DataTree) -> str:
-    """Return the words for the measured quantities in the log-likelihood of a mode."""
+    """Return the words for the measured quantities in a mode's log-likelihood."""
     return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
 
 

@@ -1,4 +1,4 @@
-"""The section on the agreement of test and model at the sensors (CoMAC, ECoMAC), before and after updating."""
+"""The report section on test–model agreement at the sensors (CoMAC, ECoMAC), before and after updating."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmu.report.run import ReportedRun
 
 
 def sensors(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section with CoMAC and ECoMAC of each sensor, at the starting point and at the posterior mean."""
+    """Return the section with each sensor's CoMAC and ECoMAC, at the starting point and at the posterior mean."""
     title = "Test and model at the sensors"
     before, after = (correlations_of(run.trace, state) for state in (START, MEAN))
     if not after:
@@ -26,7 +26,7 @@ def sensors(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _of_one(before: Correlation, after: Correlation) -> list[Part]:
-    """Return the warnings, picture and table of the sensors of a single test."""
+    """Return the warnings, figure and table for the sensors of a single test."""
     names = after.sensors
     rows = tuple(
         (names[j], *(fixed(float(x[j]), 2) for x in (before.comac, after.comac, before.ecomac, after.ecomac)))
@@ -46,7 +46,7 @@ def _of_one(before: Correlation, after: Correlation) -> list[Part]:
 
 
 def _of_several(run: ReportedRun, found: Mapping[str, Correlation]) -> list[Part]:
-    """Return the warnings about the sensors of several tests, and the worst mode and sensor of each test."""
+    """Return the warnings about sensors in several tests, and each test's worst mode and sensor."""
     alike = {mode: after for mode, _, after in paired_mac(run.trace)}
     rows = []
     for test in sorted(found, key=lambda name: -float(found[name].ecomac.max())):

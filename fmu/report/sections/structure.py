@@ -1,4 +1,4 @@
-"""Sections on the identifiability of the parameters, and on the modes before and after updating."""
+"""Report sections on parameter identifiability, and on the modes before and after updating."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
-    """Return the legend of a drawing with the colour of each parameter, None if it changes no element."""
+    """Return a drawing's legend with the colour of each parameter, None for one that changes no element."""
     entries: dict[str, list[str]] = {}
     for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
         if colour is not None:
@@ -58,7 +58,7 @@ def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], sv
 
 
 def legend(entries: Iterable[tuple[str, str]]) -> Markup:
-    """Return the legend of a drawing from pairs of a colour and its meaning."""
+    """Return a drawing's legend from pairs of a colour and its meaning."""
     entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
     return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entry.format(*one) for one in entries))
 
@@ -89,7 +89,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _drawn_directions(found: Information) -> PageTable:
-    """Return the table of the principal directions of the draws, the least informed direction first."""
+    """Return the table of the draws' principal directions, the least informed direction first."""
     rows = tuple(
         (str(k), significant(left), fixed(1.0 - left**2, 2), *(fixed(float(x), 2) for x in direction))
         for k, (left, direction) in enumerate(zip(found.remaining_sd, found.directions, strict=True), 1)
@@ -107,9 +107,9 @@ def _drawn_directions(found: Information) -> PageTable:
 
 
 def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
-    """Return the table of the directions of a linearised model, with a caption that begins with `lead`.
+    """Return the table of a linearised model's directions, with a caption that begins with `lead`.
 
-    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows the spread of the draws along
+    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows how far the draws spread along
     each direction.
     """
     rows = tuple(
@@ -150,7 +150,7 @@ def _contraction(run: ReportedRun, found: Information) -> PageTable:
 
 
 def mac(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the MAC of the updated modes with the measured shapes.
+    """Return the section on the MAC between updated modes and measured shapes.
 
     If no shapes were measured, the updated modes are compared with the modes before updating.
     """
@@ -177,7 +177,7 @@ def mac(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
-    """Return a table of the MAC of each mode with its measured shape; empty if no shapes were measured."""
+    """Return a table of the MAC between each mode and its measured shape, or () if no shapes were measured."""
     alike = measured_mac(run.trace)
     if alike is None:
         return ()
@@ -195,7 +195,7 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
 
 
 def pairing(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on how the pairing of modes changes over the draws."""
+    """Return the section on how mode pairing changes over the draws."""
     title = "Pairing over the draws"
     if not has(run.trace, GROUP) or not has(run.trace, "posterior_predictive"):
         return Omitted(title, "the trace has no frequencies at the draws and before updating")

@@ -1,4 +1,4 @@
-"""Sections for several tests of one structure: variation between tests, prediction of the next test, damage."""
+"""Report sections for several tests of one structure: variation between tests, next test, damage."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _losses_by_test(run: ReportedRun) -> list[Part]:
-    """Return the parts on damage at an unknown date; empty if no parameter has such damage."""
+    """Return the parts on damage at an unknown date, or an empty list if no parameter has it."""
     if not has(run.trace, BY_TEST):
         return []
     dates = [name for name, (kind, *_) in roles_of(run.trace).items() if kind == "date"]
@@ -200,7 +200,7 @@ def _losses_by_test(run: ReportedRun) -> list[Part]:
 
 
 def _losses_of_groups(run: ReportedRun) -> list[Part]:
-    """Return the parts on the losses of parameters that vary between groups of tests; empty if none does."""
+    """Return the parts on losses that differ between groups of tests, or an empty list if there are none."""
     if not has(run.trace, LOSSES):
         return []
     table, values = damage(run.trace, _BEYOND), before_and_after(run.trace)
@@ -244,7 +244,7 @@ def _losses_of_groups(run: ReportedRun) -> list[Part]:
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return a verdict on the losses in each later state; an empty tuple if the trace has no losses."""
+    """Return a verdict on the losses in each later state, or an empty tuple if the trace has no losses."""
     if not has(run.trace, LOSSES):
         return ()
     doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""
@@ -257,7 +257,7 @@ def lost(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _withheld_in(run: ReportedRun, state: str, table: pd.DataFrame, reason: str) -> Verdict:
-    """Return the verdict on one state if the probabilities of losses are withheld."""
+    """Return the verdict on one state if its loss probabilities are withheld for the given `reason`."""
     most = str(table["mean"].idxmax())
     _, sd, low, high = (100.0 * table.loc[most].to_numpy(dtype=float)[:4]).tolist()
     within = interval(low, high, decimals(sd))
@@ -319,7 +319,7 @@ def damage_drawing(trace: xr.DataTree) -> Markup:
 
 
 def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup, list[tuple[str, str]]]]:
-    """Return a dict of the drawing and its legend for each state, with elements coloured by their losses.
+    """Return a drawing, with elements coloured by their losses, and its legend, keyed by state.
 
     The dict is empty if the trace has no geometry or the structure is too large to draw.
     """
@@ -343,7 +343,7 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
 
 
 def _shade(p: float) -> str:
-    """Return the colour of a probability; for a negative number or NaN, the colour of elements without a loss."""
+    """Return the colour for a probability; negative numbers and NaN give the colour of elements without a loss."""
     return UNCHANGED if p < 0 or np.isnan(p) else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 

@@ -1,4 +1,4 @@
-"""Sections on the results of updating: parameters, frequencies, maxima of the posterior and evidence."""
+"""Report sections on updating results: parameters, frequencies, posterior maxima and evidence."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def _error_of_ends(run: ReportedRun) -> str:
-    """Return a sentence on the largest Monte Carlo error of an interval's end, relative to the parameter's sd."""
+    """Return a sentence on the largest Monte Carlo error in an interval's end, relative to the parameter's sd."""
     errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
     if errors.isna().any():
         return "The Monte Carlo error of the ends of the intervals is unknown."
@@ -180,7 +180,7 @@ def _mean_error(run: ReportedRun, before: FloatArray) -> str:
 
 
 def maxima(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the maxima of the posterior, which correspond to deterministic updating."""
+    """Return the section on the posterior maxima, which correspond to deterministic updating."""
     title = "Posterior maxima: deterministic updating"
     if run.maxima is None:
         return Omitted(title, "the trace has none; fmu run searches for them before sampling")
@@ -208,7 +208,7 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _crossings(run: ReportedRun, seen: Visits) -> str:
-    """Return a sentence on the number of times the chains crossed between maxima."""
+    """Return a sentence on how often the chains crossed between maxima."""
     fewest, most = (whole(n) for n in (seen.crossings.min(), seen.crossings.max()))
     each = "ensemble" if walkers_of(run.trace) > 1 else "chain"
     often = fewest if fewest == most else f"{fewest} to {most}"
@@ -251,7 +251,7 @@ def _shares_of_draws(seen: Visits) -> list[str]:
 
 
 def evidence(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the evidence of one run."""
+    """Return the section on one run's evidence."""
     return evidences({run.name: run})
 
 

@@ -38,7 +38,7 @@ def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the verdicts on losses, other parameter changes, their certainty, and the fit of the model."""
+    """Return the verdicts on losses, other parameter changes, their certainty, and the model's fit."""
     names, losses = _most_changed(run), lost(run)
     what = judge_change(run, names)
     if losses:
@@ -47,9 +47,9 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
-    """Return the names of the model's parameters that the data informed, with the largest change first.
+    """Return the names of the model parameters that the data informed, with the largest change first.
 
-    Losses are listed separately, and inferred standard deviations of errors are not parameters of the model.
+    Losses are listed separately, and inferred error sds are not model parameters.
     """
     left = inferred_deviations(run.trace).union(not_informed(run.trace))
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
@@ -57,7 +57,7 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
 
 
 def _change(run: ReportedRun, name: str) -> float:
-    """Return the change of the posterior mean relative to the start value; 0 if that is zero or unknown."""
+    """Return the posterior mean's change relative to the start value, or 0 if that is zero or unknown."""
     start = constant(run.trace, "start", name)
     ratio = float(run.summary["mean"][name]) / start - 1.0 if start else 0.0
     return ratio if np.isfinite(ratio) else 0.0
@@ -82,7 +82,7 @@ def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 
 def _errors(run: ReportedRun) -> str:
-    """Return a sentence with the largest frequency error before and after updating; empty without frequencies."""
+    """Return a sentence with the largest frequency error before and after updating, or "" without frequencies."""
     if run.prediction is None:
         return ""
     measured, after = (run.prediction[column].to_numpy() for column in ("measured", "mean"))
@@ -150,7 +150,7 @@ def judge_data(run: ReportedRun) -> Verdict:
 
 
 def convergence(run: ReportedRun) -> Verdict:
-    """Return the verdict on the convergence of the run."""
+    """Return the verdict on the run's convergence."""
     question = "Can the run be trusted?"
     rhat, needed = float(run.summary["rhat"].max()), required_ess(run.trace["posterior"].sizes["chain"])
     ess = float(run.summary[["ess_bulk", "ess_tail"]].min().min())

@@ -1,1 +1,1 @@
-"""Figures of frequency response functions."""
+"""Plots of frequency response functions."""

@@ -1,4 +1,4 @@
-"""Figures of frequency response functions: measured, predicted, and the difference in standard deviations."""
+"""Plots of frequency response functions: measured, predicted, and the difference in standard deviations."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LEAST = 1e-9
 
 
 class Curve(NamedTuple):
-    """The amplitude or phase of a predicted FRF and its band, each (n_lines,); NaN where not predicted."""
+    """A predicted FRF's amplitude or phase, with its band, each (n_lines,); NaN where not predicted."""
 
     low: FloatArray
     middle: FloatArray
@@ -65,10 +65,10 @@ class Shown(NamedTuple):
 
 
 def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None = None) -> AxesArray:
-    """Draw a measured frequency response function and its posterior predictive distribution.
+    """Plot a measured frequency response function and its posterior predictive distribution.
 
-    From top to bottom: amplitude, phase, and the distance of the measurement from the mean of the model in
-    standard deviations of the error. Values not used in updating are grey, or red if they test the updated model.
+    From top to bottom: amplitude, phase, and the distance between the measurement and the model's mean in error
+    standard deviations. Values not used in updating are grey, or red if they test the updated model.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
     Raises
     ------
     ValueError
-        If the trace has no such function.
+        If the trace has no function with this name.
     """
     names = frf_names(trace)
     if not names:
@@ -126,7 +126,7 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
 
 
 def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | None = None) -> AxesArray:
-    """Draw a measured frequency response function and the model's function before updating.
+    """Plot a measured frequency response function and the model's function before updating.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | Non
 
 
 def shown_frfs(measured: MeasuredInTest) -> list[Shown]:
-    """Return the list of the measured frequency response functions of a test, with all frequency lines."""
+    """Return a test's measured frequency response functions, with all frequency lines."""
     data = measured.data
     lines, rows = (
         np.asarray(data.frequencies_hz),
@@ -163,12 +163,12 @@ def shown_frfs(measured: MeasuredInTest) -> list[Shown]:
 
 
 def frf_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the frequency response functions; an empty list if the trace has none."""
+    """Return the names of the frequency response functions, or an empty list if the trace has none."""
     return [str(name) for name in trace[GROUP]["frf"].to_numpy()] if GROUP in trace.children else []
 
 
 def _draw_curves(axes: AxesArray, shown: Shown, curves: Mapping[str, tuple[str, Curve, Curve]]) -> None:
-    """Draw the measured amplitudes and phases on two axes, with the curves in `curves`, named by their labels."""
+    """Plot the measured amplitudes and phases on two axes, with the labelled `curves`."""
     above, below = axes
     lines, size = shown.lines, np.abs(shown.measured)
     for label, (colour, amplitude, phase) in curves.items():
@@ -238,7 +238,7 @@ def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
 
 
 def _chosen_lines(measured: FloatArray) -> IntArray:
-    """Return the indices of about `_MOST_LINES` lines at most: the smallest and largest amplitude per interval."""
+    """Return the indices of at most about `_MOST_LINES` lines: the smallest and largest amplitude per interval."""
     n = len(measured)
     if n <= _MOST_LINES:
         return np.arange(n)

@@ -1,1 +1,1 @@
-"""The section on frequency response functions."""
+"""The report section on frequency response functions."""

@@ -1,4 +1,4 @@
-"""The section on measured and predicted frequency response functions."""
+"""The report section on measured and predicted frequency response functions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_DRAWN = 6
 
 
 def frfs(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the frequency response functions."""
+    """Return the section on the frequency response functions, or `Omitted` if none were measured."""
     title, names = "Frequency response functions", frf_names(run.trace)
     if not names:
         return Omitted(title, "none were measured")
@@ -53,7 +53,7 @@ def frfs(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _say(run: ReportedRun, group: xr.Dataset) -> str:
-    """Return sentences on the fit of the functions and on the values that were not used in updating."""
+    """Return sentences on how well the functions fit and on the values that were not used in updating."""
     failed = [
         check.of for check in run.diagnosis.fit.checks if check.failed and check.kind in (RESPONSES, HELD_OUT)
     ]
@@ -91,7 +91,7 @@ def _row(run: ReportedRun, one: xr.Dataset, name: str) -> tuple[str, ...]:
 
 
 def _worst_first(group: xr.Dataset) -> list[int]:
-    """Return the indices of the functions, with the largest errors first if there are more than `MOST_DRAWN`."""
+    """Return the function indices, with the largest errors first if there are more than `MOST_DRAWN`."""
     if group.sizes["frf"] <= MOST_DRAWN:
         return list(range(group.sizes["frf"]))
     error = np.nanmean(group["distance"].to_numpy() ** 2, axis=1)
@@ -110,7 +110,7 @@ def _drawing(run: ReportedRun, name: str, k: int) -> Picture:
 
 
 def _channels(run: ReportedRun, group: xr.Dataset) -> tuple[Part, ...]:
-    """Return a table of the gains and delays of the response channels; an empty tuple if none is inferred."""
+    """Return a table of the response channels' gains and delays, or an empty tuple if none is inferred."""
     names = [str(name) for name in group["channel"].to_numpy()]
     rows = []
     for name, gain, sd in zip(names, group["gain"].to_numpy(), group["gain_sd"].to_numpy(), strict=True):
