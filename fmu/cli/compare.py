@@ -17,7 +17,7 @@ _LIKE_RUN = {"pairing", "seed", "overwrite", "chains", "starts", "workers", "pro
 
 
 def _as_in_run(command: click.Command) -> click.Command:
-    """Return a command with the options that it shares with ``fmu run``."""
+    """Add the options that a command shares with ``fmu run``."""
     command.params += [option for option in run.params if option.name in _LIKE_RUN]
     return command
 
@@ -49,7 +49,7 @@ def compare(context: click.Context, case: str, out: Path | None, pairing: str | 
 
 
 def _compare_run(directory: Path) -> None:
-    """Print a comparison of the traces of a run."""
+    """Print a comparison of a run's traces."""
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.trace.conversion import load_traces
     from fmu.runs.words import why_no_traces

@@ -1,4 +1,4 @@
-"""The command ``fmu damage``, and tables on a terminal of the losses between states of a structure."""
+"""The command ``fmu damage``, and terminal tables of the losses between a structure's states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BEYOND = (0.05, 0.1)
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print, for each later state, the losses with values before and after; warn if P is unreliable."""
+    """Print, for each later state, the losses with values before and after; warn if these are unreliable."""
     from fmu.analysis.trace.damage import (
         ANY,
         WITHHELD,

@@ -54,7 +54,7 @@ class Commands(click.Group):
     """A group of commands that end with an exit code and report an error on one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands in the order in which they are used."""
+        """Return the command names in the order in which they are used."""
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
@@ -95,7 +95,7 @@ def _of_system(error: OSError) -> str:
 
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
-    """Print an error message on one line, and the first errors of a file on one line each; then exit."""
+    """Print an error message on one line, and a file's first errors on one line each; then exit."""
     from fmu.formats.shown import list_mistakes, one_line
 
     click.echo(f"Error: {one_line(message)}", err=True)

@@ -1,4 +1,4 @@
-"""Checks of output directories before a long computation starts."""
+"""Check output directories before a long computation starts."""
 
 from __future__ import annotations
 

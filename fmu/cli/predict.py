@@ -103,9 +103,9 @@ def _predict(
     draws: int,
     false_alarms: float,
 ) -> pd.DataFrame:
-    """Return the table of `fmu.predict_tests`, extended by whether each test departs.
+    """Return the table from `fmu.predict_tests`, extended by whether each test departs.
 
-    `tests` maps line numbers of the file to tests. Raise ConfigurationError if a test is wrong, and ValueError if
+    `tests` maps line numbers in the file to tests. Raise ConfigurationError if a test is wrong, and ValueError if
     `false_alarms` is below the smallest p-value that the draws can give.
     """
     from fmu.analysis.next_test import predict_tests
@@ -128,7 +128,7 @@ def _predict(
 
 
 def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -> dict[int, Test]:
-    """Return the tests in a table by line number; raise ConfigurationError if the table is wrong."""
+    """Return the tests in a table, keyed by line number; raise ConfigurationError if the table is wrong."""
     from fmu.formats.modes.csv import read_campaign
     from fmu.formats.modes.measured_modes import ModesError
     from fmu.posterior.data.modal_data import ModalData
@@ -151,7 +151,7 @@ def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -
 
 
 def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
-    """Return the measured data of a test as table cells, by column."""
+    """Return a test's measured data as table cells, keyed by column."""
     import numpy as np
 
     frequencies = np.asarray(test.data.frequencies_hz).tolist()
@@ -168,7 +168,7 @@ def _text(value: object) -> str:
 
 
 def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> ConfigurationError:
-    """Return the errors in new tests with their line in the table; identical errors are reported once."""
+    """Convert errors in new tests to errors at their table lines; identical errors are reported once."""
     found: dict[str, ArgumentError] = {}
     for mistake in error.mistakes:
         where, _, rule = mistake.partition(": ")
@@ -179,7 +179,7 @@ def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> Configura
 
 
 def _echo_new(found: pd.DataFrame) -> None:
-    """Print a table with one row per new test, and the parameter of each departure."""
+    """Print a table with one row per new test, and the parameter behind each departure."""
     header = ["new test", "p", "", "parameter", "change", "or"]
     rows = []
     for name, row in found.iterrows():
@@ -213,7 +213,7 @@ def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Di
 def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: float) -> None:
     """Print the number of tests that have departed so far, and the number expected by chance.
 
-    `before` contains the names of those tests in the table that had been predicted before.
+    `before` lists the tests in the table that had been predicted before.
     """
     rows = predictions.rows
     departed = [row["name"] for row in rows if row["departs"] == "true"]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
-    """Return a command with the option ``--pairing`` added."""
+    """Add the option ``--pairing`` to a command."""
     text = (
         "How computed modes are paired with measured ones: by shape, by number in the spectrum, or softly by "
         "shape (no jumps).  [default: as in the file]"
@@ -57,7 +57,7 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
 
 
 def build_problem(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
-    """Return the problem built from its file; if an engine is given, it trains the reduced model."""
+    """Build the problem from its file; if an engine is given, it trains the reduced model."""
     if sys.stderr.isatty():  # a large structure takes minutes, once
         click.echo(f"Preparing {problem.file.name} …", err=True)
     return problem.load(engine)

@@ -1,4 +1,4 @@
-"""Commands for the results of a run (``fmu report``, ``damage``, ``predict``, ``export``), and ``fmu paper``."""
+"""Commands for a run's results (``fmu report``, ``damage``, ``predict``, ``export``), and ``fmu paper``."""
 
 from __future__ import annotations
 

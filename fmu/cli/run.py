@@ -162,7 +162,10 @@ def run(
 
 
 def _with_discrepancy(asked: KeptProblem, kind: str, folder: Path) -> KeptProblem:
-    """Return the problem with another discrepancy, writing its file to a folder; ValueError if unsuitable."""
+    """Return the problem with another discrepancy, and write its file to a folder.
+
+    Raise ValueError if the discrepancy does not suit the problem.
+    """
     file = folder / asked.file.name
     text = with_discrepancy(asked.file.read_text(encoding="utf-8-sig"), kind)
     file.write_text(text, encoding="utf-8")
@@ -240,7 +243,7 @@ def _tell_stop(directory: Path, where: str = "") -> int:
 
 
 def _read_order(context: click.Context, case: str | None, pairing: str | None, orders: Orders) -> KeptProblem:
-    """Return the problem and options of a new run; raise UsageError or ValueError if options conflict."""
+    """Return a new run's problem and options; raise UsageError or ValueError if options conflict."""
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
@@ -269,7 +272,10 @@ def _read_order(context: click.Context, case: str | None, pairing: str | None, o
 
 
 def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
-    """Return the problem and options of the run in a directory; BadParameter if a fixed option has changed."""
+    """Return the problem and options of the run in a directory.
+
+    Raise BadParameter if an option that must not change has changed.
+    """
     from fmu.runs.run_directory import folder_of_order
 
     default = ParameterSource.DEFAULT
@@ -296,9 +302,9 @@ def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> Ke
 def _begin_run(
     asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
 ) -> UpdatingProblem:
-    """Return the problem; save the options of a new run, so that it can be resumed.
+    """Build and return the problem; save a new run's options, so that it can be resumed.
 
-    With --overwrite, options are saved only after the problem is built, so an earlier run is kept if that fails.
+    With --overwrite, options are saved only after the problem is built, so an earlier run survives if that fails.
     """
     if new and not overwrite:
         running.begin(asked)

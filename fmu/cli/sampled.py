@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Sampled(NamedTuple):
-    """The results of a run: the maxima, and the trace of each sampler with its summary."""
+    """A run's results: the maxima, and each sampler's trace with its summary."""
 
     maxima: Maxima | None
     traces: dict[str, xr.DataTree]
@@ -54,10 +54,10 @@ def sample_problem(
     report: Report | None,
     speaks: bool,
 ) -> Sampled:
-    """Sample a problem with every requested sampler that has not finished yet, and write the results of each.
+    """Sample a problem with every requested sampler that has not finished yet, and write each sampler's results.
 
-    The maxima are printed as soon as they are found, and the table and verdict of a sampler as soon as its draws
-    are complete. Certificates and predictions of left-out modes need further solves and follow later.
+    The maxima are printed as soon as they are found, and a sampler's table and verdict as soon as its draws are
+    complete. Certificates and predictions of left-out modes need further solves and follow later.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _tell_draws(
 ) -> None:
     """Print and write the summary of a sampler's draws; print its verdict, and how to continue after a limit.
 
-    The verdict does not yet include a comparison with samplers that have yet to draw.
+    The verdict does not yet include a comparison with samplers that have not finished.
     """
     from fmu.analysis.convergence.diagnosis import diagnose_all
     from fmu.analysis.convergence.diagnostics import summary
@@ -155,7 +155,7 @@ def _is_certified(problem: UpdatingProblem, orders: Orders) -> bool:
 
 
 def _until(orders: Orders) -> dict[str, object]:
-    """Return the arguments of a run for `fmu.sample`, with criteria for its end unless `draws` is given."""
+    """Return a run's arguments for `fmu.sample`, with stopping criteria unless `draws` is given."""
     from fmu.analysis.convergence.remedies import ESS_LIMIT
 
     arguments = {key: order for key, order in orders.items() if key in sampling.DEFAULTS}
@@ -219,7 +219,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Orders) -> int:
-    """Print the evidences, comparison and verdict on the model; write the comparison; return the exit code."""
+    """Print the evidences, comparison and model verdict; write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
@@ -271,7 +271,7 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
     """Yield the engine that advances groups of chains.
 
-    Because a user's function is expensive, the workers share the evaluations of each step, and the chains advance
+    Because a user's function is expensive, the workers share the evaluations in each step, and the chains advance
     in this process, unless groups are requested.
     """
     from fmu.engines.base import InProcess
@@ -285,7 +285,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 @contextmanager
 def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
-    """Append the first failure of the user's function, if any, to the message of a ValueError."""
+    """Append the user function's first failure, if any, to the message of a ValueError."""
     try:
         yield
     except ValueError as error:
@@ -296,6 +296,6 @@ def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
 
 
 def _why(problem: UpdatingProblem) -> str:
-    """Return a description of the first failure of the user's function; empty if there is none."""
+    """Return a description of the user function's first failure, or an empty string if there is none."""
     reasons = problem.model.reasons
     return f"; the function first failed at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""

@@ -30,7 +30,7 @@ _THINNED = 4
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return True if a surrogate is to be built: on request or, by default, if a solve of the model is slow.
+    """Return True if a surrogate is to be built: on request or, by default, if a model solve is slow.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
     """Save the solved points of a run's surrogate in its options; return the problem file and options.
 
-    A run that is resumed with more solves has a new surrogate; the draws of the earlier surrogate are removed.
+    A run that is resumed with more solves has a new surrogate; the draws from the earlier surrogate are removed.
     """
     design = problem.model.configuration()["design"]
     is_other = asked.orders.get("design", design) != design
@@ -118,7 +118,7 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact posterior draws, for which draws of a surrogate are proposals; make more of these if needed.
+    """Return exact posterior draws by accepting or rejecting surrogate draws; make more of these if needed.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def exact_draws(
     until_ess : float
         Bulk and tail ESS that every parameter must reach.
     most : int, optional
-        Limit on solves, including those for the surrogate. Defaults to ten exact solves per effective draw.
+        Limit on solves, including those for the surrogate. Defaults to ten exact solves per unit of ESS.
     workers : Engine
     **arguments
         Arguments of `fmu.sample`.

@@ -98,7 +98,7 @@ def echo_comparison(
     Returns
     -------
     tuple of pandas.DataFrame and dict
-        The table and the verdicts.
+        The table, and the verdicts keyed by sampler.
     """
     from fmu.analysis.convergence.comparison import compare_runs
     from fmu.analysis.convergence.diagnosis import NOTES, choose_run
@@ -128,7 +128,7 @@ def echo_comparison(
 def _echo_costs(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> pd.DataFrame:
-    """Print whether the samplers agree, and their costs relative to the baseline; return the table of costs."""
+    """Print whether the samplers agree, and their costs relative to the baseline; return the cost table."""
     from fmu.analysis.convergence.agreement import agreement
     from fmu.analysis.convergence.comparison import COUNTED, at_both_points, cost_rows, costs_side_by_side
 
@@ -157,7 +157,7 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
 
 
 def echo_models(directory: Path, with_page: bool = True) -> None:
-    """Print and write a comparison of the runs in the subdirectories of a directory, one per discrepancy.
+    """Print and write a comparison of the runs in a directory's subdirectories, one per discrepancy.
 
     Raises
     ------
@@ -199,14 +199,14 @@ def _summary_cell(name: str, value: float, sd: float) -> str:
 
 
 def _beside_the_ends(columns: list[str]) -> list[str]:
-    """Return the columns of a summary, with the standard error of each interval end directly after that end."""
+    """Return a summary's columns, with each interval end's standard error directly after that end."""
     errors = {column.removeprefix("mcse_"): column for column in columns if column.startswith("mcse_eti")}
     others = [column for column in columns if column not in errors.values()]
     return [name for column in others for name in (column, errors.get(column)) if name is not None]
 
 
 def _cell(name: str, value: object) -> str:
-    """Return a value of the comparison as text: whole numbers in full, and a dash if it does not apply."""
+    """Return a value in the comparison as text: whole numbers in full, and a dash if it does not apply."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):

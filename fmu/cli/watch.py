@@ -69,7 +69,7 @@ def watch(directory: Path, follow: bool, every: float, is_json: bool, web: bool,
 
 
 def _serve(directory: Path, every: float, host: str, port: int) -> Never:
-    """Serve the web page of a run until Ctrl-C ends the process."""
+    """Serve a run's web page until Ctrl-C ends the process."""
     from fmu.runs.web import LOOPBACK, WatchServer
 
     with WatchServer(directory, every, host, port) as server:
@@ -88,7 +88,7 @@ def _serve(directory: Path, every: float, host: str, port: int) -> Never:
 
 
 def _lines(reading: RunReading) -> Iterator[str]:
-    """Yield the lines to print: the state of the run, a table, verdicts, notes, and how to resume the run."""
+    """Yield the lines to print: the run's state, a table, verdicts, notes, and how to resume the run."""
     from fmu.runs.words import rows, state_of, to_resume
 
     yield f"{reading.directory}: {state_of(reading)}"

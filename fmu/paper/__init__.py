@@ -1,7 +1,6 @@
 """Replication of the paper: both experiments with every sampler, compared with the published results.
 
-Reading order of the modules: published, plan, experiment, convergence, studies/, findings, page, summary, errata,
-run.
+Reading order: published, plan, experiment, convergence, studies/, findings, page, summary, errata, run.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The reference posterior, errors of running means, and the run length needed to pass the convergence checks.
+"""The reference posterior, running-mean errors, and the run length needed to pass the convergence checks.
 
 A solve is one evaluation of the log-probability. An exact gradient counts as the number of solves that take the
 same time (`fmu.analysis.trace.reading.in_solves`).
@@ -29,8 +29,8 @@ class Reference:
     Attributes
     ----------
     mean, sd, mcse : ndarray, shape (ndim,)
-        Posterior mean and standard deviation of the parameters, and the Monte Carlo standard error of the mean,
-        SI units.
+        Each parameter's posterior mean and standard deviation, and the Monte Carlo standard error of the mean, SI
+        units.
     origin : str
         The source of the estimate, in words.
     """
@@ -42,12 +42,12 @@ class Reference:
 
     @property
     def resolution(self) -> float:
-        """The root mean square of mcse/sd over the parameters; smaller errors of a run cannot be resolved."""
+        """Root mean square of mcse/sd over the parameters; smaller errors in a run cannot be resolved."""
         return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
 
 
 def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
-    """Return the posterior estimate pooled from several traces, weighted by their effective sample sizes."""
+    """Pool several traces into one posterior estimate, weighted by their effective sample sizes."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])
@@ -82,12 +82,12 @@ SHORTEST = 50
 
 @dataclass(frozen=True)
 class Curve:
-    """The error of the running mean of every chain.
+    """Error of every chain's running mean.
 
     Attributes
     ----------
     solves : ndarray, shape (points,)
-        Model solves of one chain (or ensemble), warm-up included, averaged over the chains.
+        Model solves by one chain (or ensemble), warm-up included, averaged over the chains.
     error : ndarray, shape (chains, points)
         Root mean square over the parameters of (running mean − reference mean)/(reference sd).
     """
@@ -105,11 +105,11 @@ class Needed:
     Attributes
     ----------
     draws : int or None
-        Retained steps of each chain.
+        Retained steps per chain.
     samples : int or None
-        Steps of all chains and walkers up to this length, warm-up included.
+        Steps by all chains and walkers up to this length, warm-up included.
     solves, seconds : float or None
-        Model solves of all chains, and time in s, up to this length, warm-up included.
+        Model solves by all chains, and time in s, up to this length, warm-up included.
     """
 
     draws: int | None = None
@@ -119,7 +119,7 @@ class Needed:
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
-    """Return the error of the running mean of each chain at geometrically increasing lengths."""
+    """Return the error in each chain's running mean at geometrically increasing lengths."""
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     chains, total, ndim = draws.shape
@@ -139,14 +139,14 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     ----------
     trace : xarray.DataTree
     failures : callable
-        A function that returns the list of reasons why a trace has not converged, such as
+        Returns the reasons why a trace has not converged, such as
         `fmu.analysis.convergence.diagnostics.convergence_failures`.
 
     Notes
     -----
-    The warm-up is kept, and the draws are truncated at lengths that increase by the factor `GROWTH`. The lengths
-    are examined from the whole run downwards until the first failure, so that no length counts that passes by
-    chance.
+    The warm-up stays as it is, and the draws are truncated at lengths that increase by the factor `GROWTH`. The
+    lengths are examined from the whole run downwards until the first failure, so that no length counts that passes
+    by chance.
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -165,8 +165,8 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 def solves_at_this_pace(trace: xr.DataTree) -> int | None:
     """Return the number of model solves that a run would need for an effective sample size of `ESS_LIMIT`.
 
-    The number is extrapolated from the smallest bulk or tail ESS of the draws, excluding the warm-up. It is None
-    if that ESS is NaN.
+    The number is extrapolated from the draws' smallest bulk or tail ESS, excluding the warm-up. It is None if that
+    ESS is NaN.
     """
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())
@@ -174,9 +174,9 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
 
 
 def solves_by_step(trace: xr.DataTree) -> FloatArray:
-    """Return the cumulative model solves of each chain at every retained step, shape (chains, steps).
+    """Return each chain's cumulative model solves at every retained step, shape (chains, steps).
 
-    The solves of the warm-up are included.
+    The solves in the warm-up are included.
     """
     kept, before = (
         in_solves(trace, *(array_of(trace, group, name) for name in ("n_solves", "n_gradients")))
@@ -197,7 +197,7 @@ def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
 
 
 def lengths_up_to(total: int, growth: float, first: int) -> IntArray:
-    """Return whole numbers from `first` to `total` that increase by a factor of about `growth`."""
+    """Return integers from `first` to `total` that increase by a factor of about `growth`."""
     if total <= first:
         return np.array([total])
     count = int(np.ceil(np.log(total / first) / np.log(growth))) + 1

@@ -32,7 +32,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
     Parameters
     ----------
     problems : mapping of str to UpdatingProblem
-        The problem of each experiment by case, with modes paired by number.
+        Each experiment's problem, keyed by case, with modes paired by number.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
 
 
 def recomputed_page(table: pd.DataFrame) -> str:
-    """Return the content of recomputed.md."""
+    """Return the Markdown text of recomputed.md, from the table that `recompute` returns."""
     rows = [
         (
             f"Table {row['table']}", row["column"], row["mode"], row["printed_hz"], fixed(row["model_hz"], 3),
@@ -148,7 +148,7 @@ RARE = 5e-4
 
 
 class Erratum(NamedTuple):
-    """An erratum of the paper.
+    """An erratum in the paper.
 
     Its fields are the place in the paper, the printed content, the correct content as found from the model or the
     table, and the evidence.
@@ -168,7 +168,7 @@ def computed_errata(
     Parameters
     ----------
     by_number, by_shape : mapping of str to UpdatingProblem
-        The problem of each experiment by case, with modes paired by number and by shape.
+        Each experiment's problem, keyed by case, with modes paired by number and by shape.
     box_points : int
         Number of points within the parameter bounds at which the spectrum is examined; a power of two.
     """
@@ -182,7 +182,7 @@ def computed_errata(
 
 
 def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for each mode of section 5.1 whose number denotes another mode at the starting point."""
+    """Yield an erratum for each mode in section 5.1 whose number denotes another mode at the starting point."""
     experiment = EXPERIMENTS[YOUNG]
     start = experiment.columns["initial"]
     numbers = by_number.data.numbers
@@ -309,9 +309,9 @@ the corrected version.
 
 
 def errata_page(errata: list[Erratum], recomputed: str) -> str:
-    """Return the content of errata.md.
+    """Return the Markdown text of errata.md.
 
-    The text `recomputed` says how many frequencies the model reproduces (`count_reproduced`).
+    `recomputed` says how many frequencies the model reproduces (`count_reproduced`).
     """
     planes = ", ".join(f"{letter}: {words}" for letter, words in spectrum.PLANES.items())
     rows = [(str(k), *erratum) for k, erratum in enumerate(errata, start=1)]

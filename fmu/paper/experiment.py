@@ -1,4 +1,4 @@
-"""One experiment of the paper with one mode pairing: its runs and its tables."""
+"""One experiment in the paper with one mode pairing: its runs and its tables."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _LOOKED_AT = 2000
 
 
 def directory_of(case: str, pairing: str) -> str:
-    """Return the name of the directory of an experiment, ``"young-index"`` for example."""
+    """Return the name of an experiment's directory, for example ``"young-index"``."""
     return f"{case.removeprefix('cantilever-')}-{pairing}"
 
 
@@ -72,24 +72,24 @@ class Result:
     maxima_modes : tuple of str
         The physical modes paired with the measured modes at each maximum, for example ``"W1 W2 W3 W4 W5"``.
     paper, long : mapping of str to DataTree
-        Traces of the paper's protocol and of the long runs, by sampler.
+        Traces of the paper's protocol and of the long runs, keyed by sampler.
     pace : mapping of str to DataTree
-        Traces, by sampler, of runs with the paper's settings that start from posterior draws; empty if no long run
-        of a trusted sampler converged.
+        Traces, keyed by sampler, of runs with the paper's settings that start from posterior draws; empty if no
+        long run of a trusted sampler converged.
     one_start : DataTree
         Trace of HMC without jumps, with all chains started at the paper's starting vector.
     reference : Reference
         The best available estimate of the posterior.
     diagnoses : mapping of str to Diagnosis
-        The diagnosis of each long run, from a comparison with the maxima and the other long runs.
+        Each long run's diagnosis, from a comparison with the maxima and the other long runs.
     comparison : DataFrame
         The result of `fmu.compare` for the long runs, with these diagnoses.
     needed : mapping of str to Needed
-        The length needed by each long run to converge.
+        The length that each long run needed to converge.
     curves : mapping of str to tuple of Curve
-        The running errors of the long run of each sampler and, if performed, of the paper's protocol.
+        Running errors of each sampler's long run and, if performed, of the paper's protocol.
     places : mapping of str to mapping of str to float
-        The fraction of the draws of each long run at which each combination of physical modes is paired.
+        The fraction of each long run's draws at which each combination of physical modes is paired.
     """
 
     published: Published
@@ -110,11 +110,11 @@ class Result:
 
     @property
     def name(self) -> str:
-        """The name of the experiment's directory."""
+        """Name of the experiment's directory."""
         return directory_of(self.published.case, self.pairing)
 
     def is_converged(self, sampler: str) -> bool:
-        """Return True if the long run of a sampler has converged."""
+        """Return True if the sampler's long run has converged."""
         return self.diagnoses[sampler].converged
 
 
@@ -124,7 +124,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
     Parameters
     ----------
     case : str
-        The name of a built-in case with published tables.
+        Name of a built-in case with published tables.
     pairing : {"index", "shape"}
     plan : Plan
     progress : callable, optional
@@ -205,7 +205,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return the fraction of draws with each combination of paired modes, from about 2000 draws of a trace."""
+    """Return the fraction of draws with each combination of paired modes, from about 2000 of a trace's draws."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -222,8 +222,8 @@ def posterior_mean(trace: xr.DataTree) -> FloatArray:
 def parameter_table(result: Result) -> pd.DataFrame:
     """Return a table of the published parameters (Table 1 or 3) and ours, one row per parameter, SI units.
 
-    The columns are ``unit``; ``published_*``; ``maximum``, the highest maximum of the posterior; ``paper_*``, the
-    posterior means of the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of the
+    The columns are ``unit``; ``published_*``; ``maximum``, the highest posterior maximum; ``paper_*``, the
+    posterior means with the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of the
     interval, for the long runs; and ``reference_mean``, ``reference_sd`` and ``reference_mcse``.
     """
     columns: dict[str, object] = {"unit": result.problem.units}
@@ -247,9 +247,9 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
     Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors |f − f_m|/f_m in %. The columns are
     ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters with this
-    experiment's pairing; ``maximum_*``, the model at the highest maximum of the posterior; and ``paper_*`` and
+    experiment's pairing; ``maximum_*``, the model at the highest posterior maximum; and ``paper_*`` and
     ``long_*``, the model at our posterior mean. ``long_*_predictive`` and its interval are the mean and the
-    interval of the posterior predictive distribution of a new measurement, eq. (10), in Hz.
+    interval of the posterior predictive distribution for a new measurement, eq. (10), in Hz.
     """
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}
@@ -281,22 +281,22 @@ def comparison_table(result: Result) -> pd.DataFrame:
     A solve is one evaluation of the log-probability, and an exact gradient counts as ``gradient_cost`` solves. The
     columns added to `fmu.compare` are:
 
-    ``sampling_solves`` and ``ess_per_sampling_solve``: solves and efficiency of the long run without the warm-up.
+    ``sampling_solves`` and ``ess_per_sampling_solve``: the long run's solves and efficiency without the warm-up.
 
-    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: retained steps of each chain, and
-    steps of all chains, solves and time in s including the warm-up, at the shortest length from which the long run
+    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: retained steps per chain, and all
+    chains' steps, solves and time in s including the warm-up, at the shortest length from which the long run
     passes the convergence checks; missing if the long run did not converge.
 
-    ``paper_solves``: solves of the paper's protocol.
+    ``paper_solves``: solves with the paper's protocol.
 
     ``paper_needed_solves``: estimated solves for the effective sample size that convergence requires, with the
-    paper's settings and chains that start in the posterior; missing if no converged run provides such starting
+    paper's settings and chains that start in the posterior; missing if no converged run provides these starting
     points.
 
-    ``paper_error``: largest distance of a posterior mean of the paper's protocol from the reference, in posterior
-    sd.
+    ``paper_error``: largest distance between a posterior mean with the paper's protocol and the reference, in
+    posterior sd.
 
-    ``published_error``: largest distance of a published parameter from the reference mean, in posterior sd.
+    ``published_error``: largest distance between a published parameter and the reference mean, in posterior sd.
     """
     table = result.comparison.copy()
     off = {s: _distance(result, posterior_mean(trace)) for s, trace in result.paper.items()}
@@ -322,16 +322,16 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
 
 class OneStart(NamedTuple):
-    """The length, convergence and error of a run whose chains all have the same starting vector.
+    """Length, convergence and error of a run whose chains all have the same starting vector.
 
     Attributes
     ----------
     chains, draws : int
-        Number of chains, and of draws of each chain.
+        Number of chains, and of draws per chain.
     rhat, ess : float
         The largest R-hat and the smallest bulk ESS over the parameters.
     off : float
-        The largest distance of a posterior mean from the reference, in posterior standard deviations.
+        The largest distance between a posterior mean and the reference, in posterior standard deviations.
     reasons : tuple of str
         Why the run has not converged.
     """
@@ -345,7 +345,7 @@ class OneStart(NamedTuple):
 
 
 def one_start(result: Result) -> OneStart:
-    """Return the length, convergence and error of the run whose chains all have the same starting vector."""
+    """Return length, convergence and error of the run whose chains all have the same starting vector."""
     trace = result.one_start
     of_run = compare_runs({"hmc": trace})
     table = of_run.summaries["hmc"]
@@ -360,7 +360,7 @@ def one_start(result: Result) -> OneStart:
 
 
 def agreement(result: Result) -> tuple[float, float, tuple[str, ...]]:
-    """Return the largest differences between the posterior means of the converged long runs, and their samplers.
+    """Return the largest differences between the converged long runs' posterior means, and their samplers.
 
     Returns
     -------
@@ -387,6 +387,6 @@ def _distance(result: Result, theta: FloatArray) -> float:
 
 
 def rows_of(frame: pd.DataFrame) -> list[tuple[str, dict[str, Any]]]:
-    """Return the name of each row of a table, with a dict of the cells of the row."""
+    """Return each row's name, with a dict of its cells."""
     rows = frame.itertuples(name=None)
     return [(str(name), dict(zip(frame.columns, cells, strict=True))) for name, *cells in rows]

@@ -1,4 +1,4 @@
-"""The figures of one experiment of the paper."""
+"""Figures for one experiment in the paper."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ENOUGH = 0.05
 
 
 def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) -> None:
-    """Write all figures of an experiment to `directory` as PNG files."""
+    """Write all figures for an experiment to `directory` as PNG files."""
     heading = f"Section {result.published.section}, paired {PAIRED_BY[result.pairing]}"
     for name, trace in result.long.items():
         columns, published = {"long run": trace}, None
@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the sets of frequencies drawn for a sampler: before updating, published and ours."""
+    """Return the sets of frequencies plotted for a sampler: before updating, published and ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:
@@ -70,11 +70,10 @@ def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Fre
 
 
 def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
-    """Draw the error of the running mean against the number of model solves for every sampler.
+    """Plot the running-mean error against the number of model solves for every sampler.
 
-    A solid line is the median over the chains (or ensembles) of the long run, and the band is their range. A
-    dotted line is the paper's protocol. A dot marks the length from which the long run passes the convergence
-    checks.
+    A solid line is the median over the long run's chains (or ensembles), and the band is their range. A dotted
+    line is the paper's protocol. A dot marks the length from which the long run passes the convergence checks.
     """
     figure = figure or new_figure(8.0, 5.4)
     axes = figure.subplots()
@@ -111,7 +110,7 @@ def _band(axes: Axes, curve: Curve, colour: str, label: str) -> None:
 
 
 def _legend(figure: Figure, result: Result) -> None:
-    """Add a legend of colours and line styles below the figure."""
+    """Add a legend with colours and line styles below the figure."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -1,4 +1,4 @@
-"""The findings of one experiment as tables, and the paper's statements judged by these tables."""
+"""The findings on one experiment as tables, and the paper's statements judged by these tables."""
 
 from __future__ import annotations
 
@@ -46,28 +46,28 @@ class Findings:
     ----------
     case, pairing : str
     parameters, frequencies, comparison : DataFrame
-        The tables of `fmu.paper.experiment`: `parameter_table`, `frequency_table` and `comparison_table`.
+        The tables from `fmu.paper.experiment`: `parameter_table`, `frequency_table` and `comparison_table`.
     maxima : DataFrame
         Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), with a
-        column ``modes`` of the physical modes paired at each maximum.
+        column ``modes`` for the physical modes paired at each maximum.
     reasons, warnings : mapping of str to tuple of str
-        The reasons why the long run has not converged, and the warnings about the model, by sampler.
+        The reasons why the long run has not converged, and the warnings about the model, keyed by sampler.
     places : mapping of str to mapping of str to float
-        The fraction of the draws of each long run at which each combination of physical modes is paired.
+        The fraction of each long run's draws at which each combination of physical modes is paired.
     one_start : OneStart
-        The results of the run whose chains all have the same starting vector.
+        Results of the run whose chains all have the same starting vector.
     agreement : tuple
-        The agreement of the converged long runs (`fmu.paper.experiment.agreement`).
+        How well the converged long runs agree (`fmu.paper.experiment.agreement`).
     origin : str
         The source of the reference posterior, in words.
     settings : mapping of str to str
-        Settings of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
+        Every run's settings, as JSON, keyed by sampler and kind (``"mh, paper"``, ``"mh, long"``).
     learnt : mapping of str to str
-        Settings tuned in the warm-up of every run, as JSON, by the same keys.
+        Settings tuned in every run's warm-up, as JSON, with the same keys.
     lengths : mapping of str to tuple of int
-        Numbers of chains, warm-up steps and draws of every run, by the same keys.
+        Every run's numbers of chains, warm-up steps and draws, with the same keys.
     certificates : mapping of str to mapping of str to float
-        Errors of the reduced model at some draws of every run (`fmu.analysis.certificate`), by the same keys.
+        Errors of the reduced model at some of every run's draws (`fmu.analysis.certificate`), with the same keys.
     weighted : VectorBeta, optional
         Results with a separate β for every mode, if that run was performed.
     wrong : WrongModel, optional
@@ -95,7 +95,7 @@ class Findings:
 
     @classmethod
     def of(cls, result: Result, weighted: VectorBeta | None = None, wrong: WrongModel | None = None) -> Findings:
-        """Return the findings of the runs of an experiment."""
+        """Collect the findings from an experiment's runs."""
         traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
         traces |= {f"{name}, long": trace for name, trace in result.long.items()}
         traces["hmc, one start"] = result.one_start
@@ -139,41 +139,41 @@ class Findings:
 
     @property
     def name(self) -> str:
-        """The name of the experiment's directory."""
+        """Name of the experiment's directory."""
         return directory_of(self.case, self.pairing)
 
     @property
     def ndim(self) -> int:
-        """The number of parameters."""
+        """Number of parameters."""
         return len(self.parameters)
 
     def is_converged(self, sampler: str) -> bool:
-        """Return True if the long run of a sampler has converged."""
+        """Return True if the sampler's long run has converged."""
         return bool(self.comparison.loc[sampler, "verdict"] == CONVERGED)
 
     def value(self, sampler: str, column: str) -> float:
-        """Return an entry of the comparison table; NaN if the entry is missing."""
+        """Return an entry in the comparison table, or NaN if it is missing."""
         cell = self.comparison[column][sampler]
         return float("nan") if str(cell) == "<NA>" else float(cell)
 
     def in_paper_units(self, parameter: str, *columns: str) -> list[float]:
-        """Return entries of the parameter table divided by the power of ten that the paper uses."""
+        """Return entries in the parameter table divided by the power of ten that the paper uses."""
         factor, _ = self.unit_of_paper(parameter)
         return [float(self.parameters[column][parameter]) / factor for column in columns]
 
     @property
     def central_difference_rate(self) -> float:
-        """The effective draws of HMC per solve if every gradient cost 2·ndim solves, as in eq. (15)."""
+        """Effective sample size of HMC per solve if every gradient cost 2·ndim solves, as in eq. (15)."""
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
 
     @property
     def never_visited(self) -> list[str]:
-        """The samplers whose long run missed at least one of the maxima."""
+        """Samplers whose long run missed at least one of the maxima."""
         return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
 
     @property
     def separate_maxima(self) -> pd.DataFrame:
-        """The rows of the maxima that are at most `DEEP` in log-probability below the highest maximum."""
+        """Table rows of the maxima that are at most `DEEP` in log-probability below the highest maximum."""
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
 
     def unit_of_paper(self, parameter: str) -> tuple[float, str]:
@@ -214,7 +214,7 @@ SEPARATED = (
 
 
 class Judgement(NamedTuple):
-    """A statement of the paper, a criterion, and the outcome of judging the statement by this criterion.
+    """A statement in the paper, a criterion, and whether the statement is right by this criterion.
 
     The `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
     """
@@ -228,8 +228,8 @@ class Judgement(NamedTuple):
 def judge(findings: Findings) -> list[Judgement]:
     """Judge the paper's statements on one experiment by each criterion that the paper may mean.
 
-    If the long run of only one of two samplers converged, this sampler is the better one. If both converged, the
-    numbers in the table of costs are compared.
+    If only one of two samplers' long runs converged, that sampler is the better one. If both converged, the
+    numbers in the cost table are compared.
     """
     return [
         Judgement(f"{SHORT[a]} {verb} {SHORT[b]}", criterion, *_decide(findings, a, b, column))
@@ -257,7 +257,7 @@ def _decide(findings: Findings, better: str, worse: str, column: str) -> tuple[s
 
 
 def statement(findings: Findings) -> str:
-    """Return a paragraph on the most efficient samplers and on the agreement of the converged samplers."""
+    """Return a paragraph on the most efficient samplers and on how well the converged samplers agree."""
     heading = f"**Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}.** "
     samplers = list(findings.comparison.index)
     ranked = sorted(filter(findings.is_converged, samplers), key=lambda s: -findings.value(s, "ess_per_solve"))
@@ -286,7 +286,7 @@ def statement(findings: Findings) -> str:
 
 
 def _at_the_papers_price(findings: Findings, rivals: list[str]) -> str:
-    """Return a sentence on the efficiency that HMC would have if every gradient were a central difference."""
+    """Return a sentence on how efficient HMC would be if every gradient were a central difference."""
     rate = findings.central_difference_rate
     words = (
         f"With the paper's central differences, {2 * findings.ndim} solves a gradient, HMC would have "

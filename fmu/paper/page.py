@@ -1,4 +1,4 @@
-"""The page of one experiment, which compares the paper's tables with our results."""
+"""The page on one experiment, which compares the paper's tables with our results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
 
 
 def experiment_page(findings: Findings) -> str:
-    """Return the content of tables.md."""
+    """Return the Markdown text of tables.md."""
     published = findings.published
     parts = [
         f"# Section {published.section} of the paper, modes paired {PAIRED_BY[findings.pairing]}\n",
@@ -158,7 +158,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return tables of the convergence and cost of the long runs, and of the cost of the paper's protocol."""
+    """Return tables of the long runs' convergence and cost, and of the cost of the paper's protocol."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (
@@ -195,7 +195,7 @@ def reached_and_cost(findings: Findings) -> str:
 
 
 def _efficiency(findings: Findings, sampler: str) -> list[str]:
-    """Return the effective draws per solve, per solve after the warm-up, and per second, as texts.
+    """Return the effective sample size per solve, per solve after the warm-up, and per second, as texts.
 
     The texts are dashes if the run has not converged.
     """
@@ -218,7 +218,7 @@ def claims(findings: Findings) -> str:
 
 
 def maxima(findings: Findings) -> str:
-    """Return a table of the maxima of the posterior and the share of the probability that each holds."""
+    """Return a table of the posterior maxima and the share of the probability that each holds."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
     header = ["", *(f"{name}, {unit}" for name, (_, unit) in zip(names, units, strict=True))]
@@ -273,7 +273,7 @@ def fit(findings: Findings) -> str:
 
 
 def places(findings: Findings) -> str:
-    """Return a table of the physical modes paired in each long run; empty if the pairing never changed."""
+    """Return a table of the physical modes paired in each long run, or "" if the pairing never changed."""
     if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [
@@ -288,7 +288,7 @@ def places(findings: Findings) -> str:
 
 
 def settings(findings: Findings) -> str:
-    """Return a table of the length, settings and certificate of every run."""
+    """Return a table of every run's length, settings and certificate."""
     rows = []
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]

@@ -1,4 +1,4 @@
-"""The planned runs: lengths and settings of the paper's protocol and of the long runs.
+"""The planned runs: lengths and settings for the paper's protocol and for the long runs.
 
 The paper's protocol is a single chain with the paper's number of samples; the long runs are meant to converge.
 """
@@ -31,7 +31,7 @@ PAIRINGS = ("index", "shape")
 
 @dataclass(frozen=True)
 class Length:
-    """The length of a run: retained steps, warm-up steps, and number of chains (of ensembles for emcee)."""
+    """A run's length: retained steps, warm-up steps, and number of chains (ensembles for emcee)."""
 
     draws: int
     warmup: int
@@ -39,7 +39,7 @@ class Length:
 
     @property
     def steps(self) -> int:
-        """The number of warm-up and retained steps of each chain."""
+        """Number of warm-up and retained steps per chain."""
         return self.warmup + self.draws
 
 
@@ -50,23 +50,24 @@ class Plan:
     Attributes
     ----------
     experiments : tuple of (case, pairing)
-        The experiments, in the order of the pages.
+        The experiments, in page order.
     paper : Length
-        The length of the paper's protocol: N_s samples of one chain from the starting vector, all of them kept.
+        Length of the paper's protocol: N_s samples from one chain that starts at the starting vector, without
+        warm-up.
     pace : mapping of str to Length
-        The lengths, by sampler, of runs with the paper's settings that start from posterior draws. These runs
-        estimate the cost of an effective draw.
+        Lengths, keyed by sampler, of runs with the paper's settings that start from posterior draws. These runs
+        estimate the cost per effective sample.
     long : mapping of str to Length
-        The lengths of the long runs, by sampler (`long_start`).
+        Lengths of the long runs, keyed by sampler (`long_start`).
     one_start : Length
-        The length of a run of HMC without jumps, with all chains from the starting vector. This run shows the
-        R-hat of chains with a common starting point.
+        Length of an HMC run without jumps, with all chains from the starting vector. This run shows the R-hat of
+        chains with a common starting point.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
     wrong : Length
-        The length of the mixture's runs with a model that may be wrong.
+        Length of the mixture sampler's runs with a model that may be wrong.
     starts : int
-        Number of starting points of the search for maxima.
+        Number of starting points in the search for maxima.
     box_points : int
         Number of points within the parameter bounds at which the spectrum is examined.
     seed : int
@@ -105,16 +106,16 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """The number of steps per chain, summed over all runs of one experiment."""
+        """Number of steps per chain, summed over all runs of one experiment."""
         runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values(), self.one_start)
         return sum(length.steps for length in runs)
 
 
 def paper_settings(name: str) -> Sampler:
-    """Return a sampler of the paper with manually chosen settings, in scaled coordinates.
+    """Return one of the paper's samplers with manually chosen settings, in scaled coordinates.
 
     The paper states neither step sizes nor widths. They are chosen such that the samplers move. HMC uses the
-    numerical gradient of eq. (15) and trajectories of fixed length.
+    numerical gradient in eq. (15) and trajectories of fixed length.
     """
     settings: dict[str, Sampler] = {
         "mh": MetropolisHastings(RandomWalk(0.01)),
@@ -125,7 +126,7 @@ def paper_settings(name: str) -> Sampler:
 
 
 def long_settings(name: str) -> Sampler:
-    """Return the sampler of a long run, with default settings except for emcee.
+    """Return the sampler for a long run, with default settings except for emcee.
 
     emcee uses differential-evolution moves, which here mix about four times as fast as its default, the stretch
     move.
@@ -134,9 +135,9 @@ def long_settings(name: str) -> Sampler:
 
 
 def long_start(name: str) -> str:
-    """Return the starting points of a long run: ``"maxima"`` for emcee, ``"prior"`` for any other sampler.
+    """Return where a long run starts: ``"maxima"`` for emcee, ``"prior"`` for any other sampler.
 
-    Walkers of emcee cannot cross between separated maxima. Walkers that start near a negligible maximum would stay
+    emcee's walkers cannot cross between separated maxima. Walkers that start near a negligible maximum would stay
     there.
     """
     return "maxima" if name == "emcee" else "prior"
@@ -149,13 +150,13 @@ class Runs:
     ----------
     problem : UpdatingProblem
     maxima : Maxima
-        The maxima of the posterior, stored in every trace.
+        The posterior maxima, stored in every trace.
     seed : int
-        The seed of every run.
+        Seed for every run.
     phase : str
-        The name of the progress line.
+        Name of the progress line.
     total : int
-        The total number of steps of all runs.
+        Total number of steps in all runs.
     progress : callable, optional
         Called after every step as ``progress(phase, done, total, info)``.
     """
@@ -212,7 +213,7 @@ class Runs:
             self.progress(self.phase, self.total, self.total, {"run": "all"})
 
     def _watch(self, words: str) -> Report | None:
-        """Return the progress callback of one run, which counts warm-up steps and draws; None without progress."""
+        """Return the progress callback for one run, which counts warm-up steps and draws, or None if unwatched."""
         report = self.progress
         if report is None:
             return None

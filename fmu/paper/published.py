@@ -1,4 +1,4 @@
-"""Tables 1 to 4 of the paper as data: the printed digits, and corrections of misprints.
+"""Tables 1 to 4 in the paper as data: the printed digits, and corrections of misprints.
 
 Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite Element Model
 Updating*, section 5: Tables 1 and 3 contain the updated parameters. Tables 2 and 4 contain the model frequencies f
@@ -33,7 +33,7 @@ class Printed:
     digits : str
         The mantissa as printed, trailing zeros included.
     exponent : int
-        The exponent of the power of ten that multiplies the mantissa.
+        Exponent of the power of ten that multiplies the mantissa.
     """
 
     digits: str
@@ -44,17 +44,17 @@ class Printed:
 
     @property
     def value(self) -> float:
-        """The numerical value."""
+        """Numerical value."""
         return float(f"{self.digits}e{self.exponent}")
 
     @property
     def decimals(self) -> int:
-        """The number of decimals of the mantissa."""
+        """Number of decimals in the mantissa."""
         return len(self.digits.partition(".")[2])
 
     @property
     def half_unit(self) -> float:
-        """Half a unit of the last digit: the largest rounding error of `value`."""
+        """Half a unit in the last digit: the largest rounding error of `value`."""
         return float(f"0.5e{self.exponent - self.decimals}")
 
     def allows(self, value: float, slack: float = 0.0) -> bool:
@@ -67,24 +67,24 @@ class Printed:
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a pair of tables: a parameter vector, and the frequencies of the model at this vector.
+    """One column of a pair of tables: a parameter vector, and the model frequencies there.
 
     Attributes
     ----------
     name : str
         One of `COLUMNS`.
     title : str
-        The heading of the column in the paper.
+        The column's heading in the paper.
     parameters : tuple of Printed
-        The parameters as printed in Table 1 or 3, SI units.
+        Parameters as printed in Table 1 or 3, SI units.
     frequencies : tuple of Printed
-        The frequencies as printed in Table 2 or 4, Hz.
+        Frequencies as printed in Table 2 or 4, Hz.
     errors : tuple of Printed
-        The errors printed beside the frequencies, %.
+        Errors printed beside the frequencies, %.
     corrected_parameters : mapping of int to float
-        The value, by index, of each misprinted parameter that reproduces the printed frequencies, SI units.
+        The value, keyed by index, of each misprinted parameter that reproduces the printed frequencies, SI units.
     corrected_frequencies : mapping of int to float
-        The value, by index, of each misprinted frequency that reproduces the printed error, Hz.
+        The value, keyed by index, of each misprinted frequency that reproduces the printed error, Hz.
     """
 
     name: str
@@ -97,32 +97,32 @@ class Column:
 
     @property
     def printed_theta(self) -> FloatArray:
-        """The parameters as printed, SI units, shape (ndim,)."""
+        """Parameters as printed, SI units, shape (ndim,)."""
         return _values(self.parameters)
 
     @property
     def theta(self) -> FloatArray:
-        """The parameters, with misprints corrected, that reproduce the printed frequencies, SI units, (ndim,)."""
+        """Parameters, with misprints corrected, that reproduce the printed frequencies, SI units, (ndim,)."""
         return _values(self.parameters, self.corrected_parameters)
 
     @property
     def printed_hz(self) -> FloatArray:
-        """The frequencies as printed, Hz, shape (n_modes,)."""
+        """Frequencies as printed, Hz, shape (n_modes,)."""
         return _values(self.frequencies)
 
     @property
     def meant_hz(self) -> FloatArray:
-        """The frequencies with misprints corrected, Hz, shape (n_modes,)."""
+        """Frequencies with misprints corrected, Hz, shape (n_modes,)."""
         return _values(self.frequencies, self.corrected_frequencies)
 
     @property
     def half_unit_hz(self) -> FloatArray:
-        """Half a unit of the last printed digit of each frequency, Hz, shape (n_modes,)."""
+        """Half a unit in each frequency's last printed digit, Hz, shape (n_modes,)."""
         return np.array([f.half_unit for f in self.frequencies])
 
     @property
     def printed_errors(self) -> FloatArray:
-        """The error column as printed, %, shape (n_modes,)."""
+        """Error column as printed, %, shape (n_modes,)."""
         return _values(self.errors)
 
 
@@ -133,17 +133,17 @@ class Experiment:
     Attributes
     ----------
     case : str
-        The name of the built-in case that repeats the experiment.
+        Name of the built-in case that repeats the experiment.
     section : str
         The section of the paper that describes the experiment.
     parameter_table, frequency_table : int
-        The numbers of the two tables in the paper.
+        Numbers of the two tables in the paper.
     parameter_names : tuple of str
-        The names of the parameters in the order of theta, as in the built-in case.
+        Names of the parameters in theta order, as in the built-in case.
     measured : tuple of Printed
-        The measured frequencies, Hz.
+        Measured frequencies, Hz.
     columns : mapping of str to Column
-        The columns of the tables, by name and in the order of `COLUMNS`.
+        The table columns, keyed by name and in the order of `COLUMNS`.
     """
 
     case: str
@@ -156,11 +156,11 @@ class Experiment:
 
     @property
     def measured_hz(self) -> FloatArray:
-        """The measured frequencies, Hz, shape (n_modes,)."""
+        """Measured frequencies, Hz, shape (n_modes,)."""
         return _values(self.measured)
 
     def error_percent(self, frequencies: ArrayLike) -> FloatArray:
-        """Return the errors |f − f_m|/f_m in %, as defined in the paper, of frequencies (..., n_modes) in Hz."""
+        """Return the errors |f − f_m|/f_m in %, as defined in the paper, for frequencies (..., n_modes) in Hz."""
         return 100.0 * np.abs(np.asarray(frequencies, dtype=float) - self.measured_hz) / self.measured_hz
 
     def inconsistent_errors(self, column: str) -> tuple[int, ...]:

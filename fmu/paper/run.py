@@ -58,7 +58,7 @@ def run_paper(
     progress : callable, optional
         Called as ``progress(phase, done, total, info)``, one phase per experiment and per run with a vector β.
     plan : Plan, optional
-        The lengths of the runs.
+        Lengths of the runs.
     workers : int, optional
         Number of processes for the experiments, by default the number of CPUs; with 1, only the current process
         is used. The results do not depend on this number.
@@ -108,7 +108,7 @@ def _save(trace: xr.DataTree, name: str, stage: Path) -> None:
 
 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
-    """Write the tables, figures and traces of one experiment, and a report on its long runs, below `stage`."""
+    """Write one experiment's tables, figures and traces, and a report on its long runs, below `stage`."""
     directory = stage / findings.name
     directory.mkdir(parents=True, exist_ok=True)
     tables = findings.parameters, findings.frequencies, findings.comparison, findings.maxima
@@ -143,7 +143,7 @@ def _by_shape(experiment: tuple[str, str]) -> bool:
 
 
 def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
-    """Yield the file name and the trace of each run of an experiment."""
+    """Yield the file name and the trace for each run of an experiment."""
     for kind, traces in (("paper", result.paper), ("long", result.long), ("one-start", {"hmc": result.one_start})):
         for sampler, trace in traces.items():
             yield f"{result.name}-{sampler}-{kind}.nc", trace
@@ -172,7 +172,7 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
 
 
 def write_model_error(studies: Sequence[WrongModel], stage: Path) -> None:
-    """Write the page, table and figure of the experiments with a model that may be wrong, below `stage`."""
+    """Write the page, table and figure on the experiments with a model that may be wrong, below `stage`."""
     import pandas as pd
 
     (stage / "model-error.md").write_text(wrong_model_page(studies), encoding="utf-8")
@@ -182,7 +182,7 @@ def write_model_error(studies: Sequence[WrongModel], stage: Path) -> None:
 
 
 def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
-    """Write the page, table and figure of the study with a β for every mode, unless `studies` is empty."""
+    """Write the page, table and figure on the study with a β for every mode, unless `studies` is empty."""
     if not studies:
         return
     import pandas as pd

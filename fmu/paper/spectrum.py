@@ -1,4 +1,4 @@
-"""Names of the computed modes, made up of the plane of motion and the number of the mode in that plane."""
+"""Name the computed modes by their plane of motion and their number in that plane."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BATCH = 4096
 
 
 def _structure(problem: UpdatingProblem) -> PairedStructure:
-    """Return the structure of a problem. Raise ValueError if its model has no structure."""
+    """Return a problem's structure; raise ValueError if its model has none."""
     structure = structure_of(problem.model)
     if structure is None:
         raise ValueError(f"problem: must have a structure of beam elements (got {problem.model.name})")
@@ -44,7 +44,7 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
 
 
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
-    """Return the name and frequency in Hz of the `count` lowest modes of the whole structure, in ascending order.
+    """Return name and frequency in Hz for the structure's `count` lowest modes, in ascending order.
 
     The parameters are `theta`, shape (ndim,), SI units.
     """
@@ -62,15 +62,15 @@ def shares(names: StrArray) -> dict[str, float]:
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return, for each measured mode, the physical modes paired with it and each one's fraction of the box.
+    """Return, for each measured mode, the fraction of the box in which each physical mode is paired with it.
 
-    The fraction is the part of the parameter box (the volume within the bounds) in which the physical mode is
-    paired with the measured mode. It is estimated with a scrambled Sobol sequence.
+    The box is the parameter space within the bounds; fractions of its volume are estimated with a scrambled Sobol
+    sequence.
 
     Parameters
     ----------
     points : int
-        Number of points of the sequence; a power of two.
+        Number of points in the sequence; a power of two.
     """
     from scipy.stats import qmc
 
@@ -80,9 +80,9 @@ def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str,
 
 
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
-    """Return the names of modes. The matrix blocks of a straight beam are its four planes of motion.
+    """Return the names of the modes; a straight beam's matrix blocks are its four planes of motion.
 
-    Raises ValueError if planes of motion are coupled, or if one plane has several blocks.
+    Raise ValueError if planes of motion are coupled, or if one plane has several blocks.
     """
     planes = []
     for block in structure.blocks:

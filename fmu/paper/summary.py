@@ -1,4 +1,4 @@
-"""The summary page of the results, README.md."""
+"""The results' summary page, README.md."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ FILES = {
 
 
 def summary_page(everything: Sequence[Findings], recomputed: str, seed: int, versions: Mapping[str, str]) -> str:
-    """Return the content of results/README.md.
+    """Return the Markdown text of results/README.md.
 
     Parameters
     ----------
     everything : sequence of Findings
-        The findings of all experiments.
+        The findings from all experiments.
     recomputed : str
         A phrase on the number of published frequencies reproduced (`fmu.paper.errata.count_reproduced`).
     seed : int
     versions : mapping of str to str
-        The version of each software package by its name.
+        Version of each software package, keyed by its name.
     """
     parts = [
         "# Results\n",

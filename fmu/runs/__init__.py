@@ -28,7 +28,7 @@ class Checkpoint:
     draws : int
         Largest number of steps that a group of chains loses if the run is killed.
     seconds : float
-        Largest time of sampling in s that a group of chains loses if the run is killed. If a single step takes
+        Largest sampling time in s that a group of chains loses if the run is killed. If a single step takes
         longer, the group loses this step.
 
     Raises

@@ -1,4 +1,4 @@
-"""The files of a checkpoint: steps in HDF5, and the state of a group of chains as NumPy arrays with JSON data."""
+"""The files in a checkpoint: steps in HDF5, and the state of a group of chains as NumPy arrays with JSON data."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """Entry in a saved state for one file of steps.
+    """A saved state's entry for one file of steps.
 
     Attributes
     ----------
     name : str
         Name of the file.
     sha256 : str
-        Checksum of the content of the file.
+        Checksum of the file's content.
     phase : str
     first, steps : int
         Index of the first step in the phase, and number of steps.
@@ -49,14 +49,14 @@ class Segment(NamedTuple):
 
 
 class SavedState(NamedTuple):
-    """The state of a group of chains when it was saved.
+    """State of a group of chains when it was saved.
 
     Attributes
     ----------
     configuration : str
         Hash of all the data that determine the draws.
     arithmetic : str
-        Type of CPU and BLAS, on which the last bits of the draws depend.
+        CPU and BLAS types, on which the last bits of the draws depend.
     group_state : GroupState
     elapsed_s : mapping of str to float
         Time in s that each phase of the run has taken.
@@ -75,7 +75,7 @@ class SavedState(NamedTuple):
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
-    """Return, as the bytes of an HDF5 file, steps and the points at which the model failed during them."""
+    """Return steps, and the points at which the model failed during them, as the bytes of an HDF5 file."""
     import h5py
 
     buffer = io.BytesIO()
@@ -90,12 +90,12 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
 
 
 def writable(text: str) -> str:
-    """Return text with NUL and invalid Unicode, which messages of users may contain, escaped for HDF5."""
+    """Escape NUL and invalid Unicode, which users' messages may contain, in text for HDF5."""
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
 
 
 def unpacked_steps(content: bytes) -> Steps:
-    """Return the steps in the bytes that `packed_steps` returned."""
+    """Read the steps from the bytes that `packed_steps` returned."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
@@ -103,7 +103,7 @@ def unpacked_steps(content: bytes) -> Steps:
 
 
 def unpacked_failures(content: bytes) -> list[Failure]:
-    """Return the list of failures in the bytes that `packed_steps` returned."""
+    """Read the failures from the bytes that `packed_steps` returned."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
@@ -119,7 +119,7 @@ def packed_state(state: SavedState) -> bytes:
     Raises
     ------
     ValueError
-        If the state of the sampler contains an object that is not an array, a number or a string.
+        If the sampler's state contains an object that is not an array, a number or a string.
     """
     outline = state._asdict()
     outline["group_state"], arrays = _apart(state.group_state.tree())
@@ -135,7 +135,7 @@ def packed_state(state: SavedState) -> bytes:
 
 
 def unpacked_state(payload: bytes) -> SavedState:
-    """Return the state in the bytes that `packed_state` returned; raise DamagedError for other bytes."""
+    """Read the state from the bytes that `packed_state` returned; raise DamagedError for other bytes."""
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -154,12 +154,12 @@ def numbered_files(directory: Path, kind: str) -> list[tuple[int, Path]]:
 
 
 def state_file(state: SavedState) -> bytes:
-    """Return the content of a state file: the state and its checksum."""
+    """Return a state file's content: the state and its checksum."""
     return add_checksum(TITLE, packed_state(state))
 
 
 def read_state(path: Path) -> SavedState:
-    """Return the state in a file.
+    """Read the state from a file.
 
     Raises
     ------
@@ -191,7 +191,10 @@ def read_segment(directory: Path, segment: Segment) -> bytes:
 
 
 def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object], dict[str, AnyArray]]:
-    """Split a tree into one without arrays and a dict of its arrays by their path, such as ``state/position``."""
+    """Split off a tree's arrays; return the tree without them, and the arrays keyed by path.
+
+    A path is written like ``state/position``.
+    """
     plain: dict[str, object] = {}
     arrays: dict[str, AnyArray] = {}
     for name, value in tree.items():
@@ -207,7 +210,7 @@ def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object
 
 
 def _together(plain: dict[str, Any], arrays: Mapping[str, AnyArray]) -> dict[str, Any]:
-    """Return the tree that `_apart` has split into `plain` and `arrays`."""
+    """Reassemble the tree that `_apart` has split into `plain` and `arrays`."""
     for path, array in arrays.items():
         *folders, name = path.split("/")
         tree = plain

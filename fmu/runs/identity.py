@@ -1,4 +1,4 @@
-"""The identity of a saved run: its configuration and the versions of packages, which determine the draws."""
+"""A saved run's identity: its configuration and the package versions, which determine the draws."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class Identity:
-    """The configuration of a run, in plain Python types, and the versions of packages that affect its draws."""
+    """A run's configuration, in plain Python types, and the versions of packages that affect its draws."""
 
     configuration: Mapping[str, Any]
     versions: Mapping[str, str]
 
     @classmethod
     def of(cls, configuration: Mapping[str, object]) -> Identity:
-        """Return the identity of a run with the installed versions."""
+        """Return the identity of a run with the installed package versions."""
         now = versions()
         return cls(json.loads(canonical_json(configuration)), {name: now[name] for name in _DECISIVE})
 
@@ -39,13 +39,16 @@ class Identity:
         return configuration_hash({"configuration": self.configuration, "versions": self.versions})
 
     def write(self, directory: Path) -> None:
-        """Write the identity to the directory of the run."""
+        """Write the identity to the run's directory."""
         payload = canonical_json({"configuration": self.configuration, "versions": self.versions}).encode()
         write_durably(directory / FILE, add_checksum(TITLE, payload))
 
     @classmethod
     def read(cls, directory: Path) -> Identity | None:
-        """Return the identity of the run in a directory; None if there is none. DamagedError if it is damaged."""
+        """Read the identity of the run in a directory.
+
+        Return None if there is none; raise DamagedError if it is damaged.
+        """
         path = directory / FILE
         if not path.is_file():
             return None

@@ -41,7 +41,7 @@ class ProcessInfo:
     birth: str
 
     def is_alive(self) -> bool | None:
-        """Return whether the process still exists; None if this machine cannot tell."""
+        """Return True if the process still exists, False if not, and None if this machine cannot tell."""
         if self.host != socket.gethostname() or os.name != "posix":
             return None
         try:
@@ -54,13 +54,13 @@ class ProcessInfo:
 
 
 class DirectoryLock:
-    """A lock on a directory, which the system releases if the process that holds it dies.
+    """A lock on a directory, which the operating system releases if the process that holds it dies.
 
     Parameters
     ----------
     directory : Path
     refusal : str
-        Message of the ValueError if the lock is held.
+        Message of the ValueError if the lock is taken.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class DirectoryLock:
 
 
 def announce(directory: Path) -> None:
-    """Write a note that this process is running in a directory, or no note if the disk is full."""
+    """Write a note that this process is running in a directory, unless the disk is full."""
     pid = os.getpid()
     here = ProcessInfo(socket.gethostname(), pid, time.time(), _birth(pid))
     with suppress(OSError):
@@ -92,14 +92,14 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove the notes of this process from a directory; only a killed process leaves notes behind."""
+    """Remove this process's notes from a directory; only a killed process leaves notes behind."""
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)
 
 
 def present(directory: Path) -> ProcessInfo | None:
-    """Return the process that is running in a directory or was killed in it; None if there is no readable note."""
+    """Return the process that is running in a directory or was killed in it, or None without a readable note."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
@@ -135,7 +135,7 @@ class PhaseNote:
 
 
 def noted_phase(directory: Path) -> tuple[str, int, int] | None:
-    """Return the name of the current phase, its completed and total steps; None if there is no readable note."""
+    """Return the current phase's name, completed steps and total steps, or None without a readable note."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
         return str(held["phase"]), int(held["done"]), int(held["total"])
@@ -143,7 +143,7 @@ def noted_phase(directory: Path) -> tuple[str, int, int] | None:
 
 
 def _birth(pid: int) -> str:
-    """Return the boot identifier and start time of a process; empty if it has ended or there is no /proc."""
+    """Return a process's boot identifier and start time; empty if it has ended or there is no /proc."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]

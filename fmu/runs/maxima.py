@@ -1,4 +1,4 @@
-"""The maxima of a posterior, saved with a run so that a resumed run need not search for them again."""
+"""Save posterior maxima with a run so that a resumed run need not search for them again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> No
 
 
 def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | None = None) -> Maxima | None:
-    """Return the saved maxima; None if the file is missing or damaged, or belongs to a different posterior."""
+    """Return the saved maxima, or None if the file is missing or damaged, or belongs to a different posterior."""
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.trace.netcdf import from_netcdf
 

@@ -1,4 +1,4 @@
-"""The new tests that have been compared with a run, one per row of ``predictions.csv`` in its directory."""
+"""New tests that have been compared with a run, one per row in its directory's ``predictions.csv``."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Predictions:
     Parameters
     ----------
     directory : Path
-        The directory of the run.
+        The run's directory.
     measured : sequence of str
-        Columns with the measured data of a test; the first is its name.
+        Columns for a test's measured data; the first is its name.
     found : sequence of str
-        Columns with the results of the prediction.
+        Columns for the prediction results.
     draws : str
         Identifier of the draws that were used, for the last column, ``draws_of``.
 
@@ -66,7 +66,7 @@ class Predictions:
         return [i for i, test in enumerate(tests) if test[NAME] not in known]
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Write the file with further rows; if the process is killed, the file has its old or its new content."""
+        """Append rows and write the file; if the process is killed, the file has its old or its new content."""
         self.rows += [{**row, "draws_of": self._draws} for row in rows]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, lineterminator="\n")
@@ -98,7 +98,7 @@ class Predictions:
 def open_predictions(
     directory: Path, measured: Sequence[str], found: Sequence[str], draws: str
 ) -> Iterator[Predictions]:
-    """Yield the predictions of a run, which only this process can read and write within the block."""
+    """Yield a run's predictions, which only this process can read and write within the block."""
     try:
         with FileLock(directory / f".{FILE}.lock", timeout=_WAIT_S):
             yield Predictions(directory, measured, found, draws)

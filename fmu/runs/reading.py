@@ -1,4 +1,4 @@
-"""The progress of a sampler, from the files of its groups of chains or, if it has finished, from its trace."""
+"""Read a sampler's progress from the files of its groups of chains or, if it has finished, from its trace."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a group of chains, or of all groups of a sampler together; NaN and None mean unknown.
+    """Progress of a group of chains, or of all groups of a sampler together; NaN and None mean unknown.
 
     Attributes
     ----------
@@ -31,16 +31,16 @@ class Progress:
     phase : str
         "warmup", "draws", or empty if nothing has been saved yet.
     done : int
-        Number of completed steps of the phase; for all groups together, the smallest number of any group.
+        Number of completed steps in the phase; for all groups together, the smallest number in any group.
     total : int or None
-        Total number of steps of the phase.
+        Total number of steps in the phase.
     kept_s : float or None
         Time in s since the last save.
     accept : float
-        Fraction of the moves in the phase that were accepted.
+        Fraction of accepted moves in the phase.
     rhat, ess : float
-        Largest R-hat and smallest effective sample size of any parameter, from the draws of all groups; NaN in
-        the progress of a single group.
+        Largest R-hat and smallest effective sample size of any parameter, from all groups' draws; NaN in the
+        progress of a single group.
     solves, failed : int
         Number of solves and of failed solves, including warm-up.
     solves_per_s : float
@@ -76,7 +76,7 @@ class KeptGroup(NamedTuple):
     at : float
         Time of the save, in s since 1970.
     accept : float
-        Fraction of the moves in the phase that were accepted.
+        Fraction of accepted moves in the phase.
     draws : ndarray, shape (chains, steps, walkers, ndim), or None
         None if there are no draws, or if a file of draws is damaged.
     """
@@ -89,7 +89,7 @@ class KeptGroup(NamedTuple):
 
     @property
     def done(self) -> dict[str, int]:
-        """Number of completed steps of each phase, by the name of the phase."""
+        """Number of completed steps in each phase, keyed by phase name."""
         return dict(self.state.group_state.done)
 
     @property
@@ -105,7 +105,7 @@ class KeptGroup(NamedTuple):
         return sum(self.state.elapsed_s.values())
 
     def seconds_left(self, warmup: int, draws: int | None) -> float | None:
-        """Return the time in s remaining when the group was saved, at the pace of its phase; None if unknown."""
+        """Return the time in s remaining when the group was saved, at its phase's pace, or None if unknown."""
         done = self.done
         if draws is None or done[self.phase] == 0:
             return None
@@ -113,12 +113,12 @@ class KeptGroup(NamedTuple):
         return max(left, 0) * self.state.elapsed_s[self.phase] / done[self.phase]
 
     def progress(self, label: str, warmup: int, draws: int | None, now: float, runs: bool) -> Progress:
-        """Return the progress of the group.
+        """Return the group's progress.
 
         Parameters
         ----------
         label : str
-            The label of the group, such as ``2/4``.
+            The group's label, such as ``2/4``.
         warmup : int
             Number of warm-up steps.
         draws : int or None
@@ -162,7 +162,7 @@ class GroupReader:
     Parameters
     ----------
     directory : Path
-        Directory of the group.
+        The group's directory.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -192,7 +192,7 @@ class GroupReader:
         return KeptGroup(state, phase, at, accept, draws), damaged
 
     def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
-        """Return the newest undamaged state and the time it was saved; add messages about damage to `damaged`."""
+        """Return the newest undamaged state and the time it was saved; report damage by appending to `damaged`."""
         for _ in range(_TRIES):
             damaged.clear()
             for _, path in reversed(numbered_files(self.directory, "state")):
@@ -220,7 +220,7 @@ class GroupReader:
 
 
 def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Progress:
-    """Return the progress of all groups of a sampler together."""
+    """Combine the progress of all groups of a sampler."""
     begun = [group for group in groups if group.phase]
     if not begun:
         return Progress()
@@ -247,7 +247,7 @@ def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Pr
 
 
 def of_trace(path: Path) -> Progress:
-    """Return the progress of a finished sampler, from its trace.
+    """Return a finished sampler's progress, from its trace.
 
     Raises
     ------
@@ -285,7 +285,7 @@ def _per_s(solves: int, seconds: float) -> float:
 
 
 def _diagnostics(kept: Sequence[KeptGroup | None]) -> dict[str, float]:
-    """Return R-hat and effective sample size of the draws that all groups have; empty if there are too few."""
+    """Return R-hat and effective sample size from the steps that all groups have; empty if there are too few."""
     draws = [one.draws for one in kept if one is not None and one.draws is not None]
     steps = min((x.shape[1] for x in draws), default=0)
     if len(draws) < len(kept) or steps < _FEWEST:

@@ -15,12 +15,11 @@ FOLDER = "checkpoints"
 
 
 class RunDirectory:
-    """The output directory of a run, which only one process can use at a time.
+    """A run's output directory, which only one process can use at a time.
 
-    Its folder ``checkpoints`` contains a directory for each sampler (`fmu.runs.store.Store`), the problem and
-    options of the run, and the maxima that were found. The folder is removed at the end of the run. It is also
-    removed if, before the first draw, the run fails with a ValueError, or with an OSError while the problem is
-    built.
+    Its folder ``checkpoints`` contains a directory for each sampler (`fmu.runs.store.Store`), the run's problem
+    and options, and the maxima that were found. The folder is removed at the end of the run. It is also removed
+    if, before the first draw, the run fails with a ValueError, or with an OSError while the problem is built.
 
     Parameters
     ----------
@@ -49,12 +48,12 @@ class RunDirectory:
         self._lock.release()
 
     def abandon(self) -> None:
-        """Remove the folder ``checkpoints`` of a run that cannot be carried out, unless there are draws in it."""
+        """Remove the folder ``checkpoints`` of a run that cannot be carried out, unless it contains draws."""
         if not any(self.folder.glob("*/*/state-*")):
             self.end_run()
 
     def begin(self, problem: KeptProblem) -> None:
-        """Remove the files for resuming an earlier run, and save the problem and options of this run."""
+        """Remove the files for resuming an earlier run, and save this run's problem and options."""
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
@@ -63,7 +62,7 @@ class RunDirectory:
         problem.save(self.folder)
 
     def of_sampler(self, name: str) -> Path:
-        """Return the directory of a sampler's checkpoint."""
+        """Return the directory for a sampler's checkpoint."""
         return self.folder / name
 
     def take_ledger(self, sampler: str, to: Path) -> None:
@@ -75,7 +74,7 @@ class RunDirectory:
             to.unlink(missing_ok=True)
 
     def finish_sampler(self, sampler: str, problem: KeptProblem) -> None:
-        """Record that the trace of a sampler has been written, and remove its checkpoint."""
+        """Record that a sampler's trace has been written, and remove its checkpoint."""
         for directory in (self.path, self.folder):
             problem.save(directory)
         shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)
@@ -88,5 +87,5 @@ class RunDirectory:
 
 
 def folder_of_order(directory: Path) -> Path:
-    """Return the folder with the problem and options of a run: ``checkpoints`` until the run has ended."""
+    """Return the folder with a run's problem and options: ``checkpoints`` until the run has ended."""
     return directory / FOLDER if (directory / FOLDER / ORIGIN).is_file() else directory

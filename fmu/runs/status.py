@@ -1,4 +1,4 @@
-"""The state of a run, read from the files in its directory without taking its lock or writing anything."""
+"""A run's state, read from the files in its directory without taking its lock or writing anything."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class SamplerReading:
-    """The state and progress of a sampler.
+    """State and progress of a sampler.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class SamplerReading:
 
 @dataclass(frozen=True)
 class RunReading:
-    """The state and progress of a run.
+    """State and progress of a run.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class RunReading:
 
 
 class RunReader:
-    """Reads the state of a run, repeatedly if needed; files that do not change are read only once.
+    """Reads a run's state, repeatedly if needed; files that do not change are read only once.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class RunReader:
         self._notes: dict[str, None] = {}
 
     def read(self) -> RunReading:
-        """Return the state of the run.
+        """Read the state of the run.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class RunReader:
         return reading
 
     def _of_python(self) -> RunReading:
-        """Return the state of a run of `fmu.sample` whose checkpoint is the directory."""
+        """Return the state of an `fmu.sample` run whose checkpoint is the directory."""
         at_work = present(self.directory)
         sampler = self._read_sampler("", self.directory, _state(at_work, self.directory), {})
         groups = sampler.groups or (sampler.together,)
@@ -121,7 +121,7 @@ class RunReader:
         return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
-        """Return the state of a run of ``fmu run`` whose problem and options are in the folder `where`."""
+        """Return the state of an ``fmu run`` run whose problem and options are in the folder `where`."""
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
@@ -148,7 +148,7 @@ class RunReader:
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _read_order(self, where: Path) -> tuple[Orders, tuple[str, ...]]:
-        """Return the options of the run and the names of the finished samplers; both empty if unreadable."""
+        """Return the run's options and the names of the finished samplers; both empty if unreadable."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
@@ -186,7 +186,7 @@ class RunReader:
         return found
 
     def _trace(self, path: Path) -> Progress:
-        """Return the progress of a finished sampler from its trace; an empty `Progress` if it cannot be read."""
+        """Return a finished sampler's progress from its trace, or an empty `Progress` if it cannot be read."""
         try:
             key = (path, path.stat().st_mtime_ns)
             if key not in self._traces:
@@ -220,7 +220,7 @@ def _begins(directory: Path) -> bool:
 
 
 def _youngest(directory: Path) -> float:
-    """Return the time at which a file in the directory was last written, in s since 1970; 0 if there is none."""
+    """Return the last time a file in the directory was written, in s since 1970, or 0 if there is none."""
     times = [0.0]
     for path in directory.rglob("*"):
         try:
@@ -231,7 +231,7 @@ def _youngest(directory: Path) -> float:
 
 
 def _verdicts(directory: Path) -> dict[str, str]:
-    """Return the verdicts in ``comparison.csv`` by sampler, as a dict; empty if the file is missing or damaged."""
+    """Return the verdicts in ``comparison.csv``, keyed by sampler; empty if the file is missing or damaged."""
     try:
         with open(directory / "comparison.csv", encoding="utf-8", newline="") as file:
             return {str(row["sampler"]): str(row["verdict"]) for row in csv.DictReader(file)}

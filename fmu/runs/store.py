@@ -1,4 +1,4 @@
-"""The checkpoint of a run: draws are added in files that never change, and new states replace old ones."""
+"""A run's checkpoint: draws are added in files that never change, and new states replace old ones."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ _STATES = 2  # number of states that are kept: if the last state is damaged, the
 
 
 class CheckpointWarning(UserWarning):
-    """Warning about a damaged file in a checkpoint; some steps must be drawn again."""
+    """Warns about a damaged file in a checkpoint; some steps must be drawn again."""
 
 
 class OtherArithmeticWarning(UserWarning):
-    """Warning that a run is resumed with another CPU or BLAS; its draws are valid, but differ in the last bits."""
+    """Warns that a run is resumed with another CPU or BLAS; its draws are valid, but differ in the last bits."""
 
 
 class Store:
-    """The checkpoint of a run in a directory, which saves and restores the groups of chains.
+    """A run's checkpoint in a directory, which saves and restores the groups of chains.
 
     Each group has its own directory; the first is ``group-1``. Its files ``steps-000001.h5``, … contain the draws
     in HDF5. A file such as ``state-000007`` contains the data that the sampler needs to continue after these
@@ -90,7 +90,7 @@ class Store:
             raise
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return a group in its newest undamaged state; None if there is no such state.
+        """Return a group in its newest undamaged state, or None if there is no such state.
 
         Warns
         -----
@@ -154,13 +154,13 @@ class Store:
         self.close()
 
     def _tidy(self) -> None:
-        """Remove unfinished files left by killed processes, and the ledger, which is rebuilt from the steps."""
+        """Remove unfinished files left by killed processes, and ``failures.csv``, which is rebuilt from the steps."""
         for leftover in (*self.directory.rglob(".*.part"), self.directory / LEDGER):
             with suppress(OSError):  # a remaining file does no harm
                 leftover.unlink(missing_ok=True)
 
     def _note(self, failed: list[FailedSolves]) -> None:
-        """Append failed solves to the ledger."""
+        """Append failed solves to ``failures.csv``."""
         if failed:
             rows = failures_csv(self._names, self._units, failed, header=not self._has_ledger)
             append_durably(self.directory / LEDGER, rows.encode())
@@ -182,7 +182,7 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest state which, with its files of steps, is undamaged; None if there is none.
+        """Return the newest state that is undamaged, as are its files of steps, or None if there is none.
 
         Later calls of `append` continue from this state.
         """
@@ -204,12 +204,12 @@ class _GroupFiles:
         return None
 
     def steps(self) -> Iterator[tuple[str, int, Steps]]:
-        """Yield the phase, the index of the first step, and the steps of each file, in order."""
+        """Yield each file's phase, the index of its first step, and its steps, in order."""
         for segment in self.segments:
             yield segment.phase, segment.first, unpacked_steps(read_segment(self.directory, segment))
 
     def failures(self, group: int) -> list[FailedSolves]:
-        """Return the list of failed solves, with one entry for each file of steps that contains failures."""
+        """Return the failed solves, with one entry for each file of steps that contains failures."""
         return [
             _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments
@@ -217,7 +217,7 @@ class _GroupFiles:
         ]
 
     def append(self, configuration: str, pending: PendingGroup) -> Segment:
-        """Write a file of steps and a state that lists it; remove older states; return the entry for the file."""
+        """Write a file of steps and a state that lists it; remove older states; return the file's entry."""
         make_directory(self.directory)
         content = packed_steps(pending.steps, pending.failures)
         stats = pending.steps.stats

@@ -2,7 +2,7 @@
 
 Anyone who knows the address may watch and stop the run. The address contains a random token, and every request
 without the token is refused. A request whose Host header names another machine is also refused. This protects
-against DNS rebinding, in which the host name of another site is made to point to this machine.
+against DNS rebinding, in which another site's host name is made to point to this machine.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _PATIENCE = 0.5
 
 
 class WatchServer(ThreadingHTTPServer):
-    """Server of the web page of a run; failures of the server or its clients never affect the run.
+    """Server for a run's web page; failures of the server or its clients never affect the run.
 
     Parameters
     ----------
     directory : Path
-        The directory of the run, as for `fmu.runs.status.RunReader`.
+        The run's directory, as for `fmu.runs.status.RunReader`.
     every : float
         Time in s between readings of the directory.
     host : str
@@ -51,7 +51,7 @@ class WatchServer(ThreadingHTTPServer):
     most_connections : int
         Largest number of open connections. Further connections are closed.
     request_s : float
-        Time limit in s for the headers of a request.
+        Time limit in s for a request's headers.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class WatchServer(ThreadingHTTPServer):
         self.address = f"http://{shown}:{self.server_port}/{self._token}/"
 
     def reading(self) -> RunReading:
-        """Return the state of the run, at most `every` seconds old; raise ValueError if the directory is gone."""
+        """Return the run's state, at most `every` seconds old; raise ValueError if the directory is gone."""
         with self._lock:
             if not self.closing.is_set() and time.monotonic() - self._read_at >= self.every:
                 self._reading = self._reader.read()
@@ -101,7 +101,7 @@ class WatchServer(ThreadingHTTPServer):
             return self._reading
 
     def stop_run(self) -> str:
-        """Send SIGTERM to the process of the run; return the reason why this failed, or an empty string.
+        """Send SIGTERM to the run's process; return the reason why this failed, or an empty string.
 
         The process is taken from a new reading of the directory, or from the last one if another thread is reading
         and does not finish within `_PATIENCE` seconds.
@@ -121,13 +121,13 @@ class WatchServer(ThreadingHTTPServer):
         return why
 
     def admits(self, host: str | None, path: str) -> bool:
-        """Return True if the path of a request contains the token and the Host header `host` is accepted."""
+        """Return True if a request's path contains the token and the Host header `host` is accepted."""
         token = path.split("/")[1] if "/" in path else ""
         known = hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode())
         return known and self._is_own(host or "")
 
     def _is_own(self, host: str) -> bool:
-        """Return True if the value of a Host header is an IP address or one of this machine's names."""
+        """Return True if a Host header's value is an IP address or one of this machine's names."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:
@@ -171,7 +171,7 @@ class WatchServer(ThreadingHTTPServer):
 
 
 def why_not_to_stop(reading: RunReading) -> str:
-    """Return a sentence that says why a run cannot be stopped from this machine; empty if it can be."""
+    """Return a sentence that says why a run cannot be stopped from this machine, or "" if it can."""
     who = reading.at_work
     if who is None or reading.state != RUNNING:
         return "It is not running."
@@ -181,7 +181,7 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return the content of the page as a dict: the reading, as printed by ``fmu watch --json``, and its text."""
+    """Return the page content as a dict: the reading, as printed by ``fmu watch --json``, and its text."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,
@@ -228,7 +228,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
-        """Send the page, or the events of the run until the server is closed."""
+        """Send the page, or the run's events until the server is closed."""
         if not self._is_admitted():
             return
         what = self.path.split("/", 2)[2] if self.path.count("/") > 1 else None

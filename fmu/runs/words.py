@@ -1,4 +1,4 @@
-"""Text about the state of a run: a description, a table of samplers and groups, and how to resume the run."""
+"""Text about a run's state: a description, a table of samplers and groups, and how to resume the run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LONG_S = 36_000.0  # time in s from which on only hours are given
 
 
 def state_of(reading: RunReading) -> str:
-    """Return the state of a run in words, with the process that is running it, if any."""
+    """Return a run's state in words, with the process that is running it, if any."""
     who = reading.at_work
     if who is None or reading.state in (STOPPED, FINISHED):
         return reading.state
@@ -41,7 +41,7 @@ def rows(reading: RunReading) -> list[tuple[str, ...]]:
 
 
 def to_resume(reading: RunReading) -> str:
-    """Return the instruction for resuming a stopped or killed run; empty for any other run."""
+    """Return the instruction for resuming a stopped or killed run, or an empty string for any other run."""
     if reading.state not in (STOPPED, KILLED):
         return ""
     if reading.is_of_command:

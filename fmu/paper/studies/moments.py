@@ -1,4 +1,4 @@
-"""The posterior means and standard deviations of several runs, side by side."""
+"""The posterior means and standard deviations from several runs, side by side."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 
 def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
-    """Return a table with a row per parameter of `problem`, SI units: ``unit``, ``*_mean`` and ``*_sd`` by run.
+    """Return a table with a row per parameter of `problem`, SI units: ``unit``, and each run's mean and sd.
 
-    Parameters that a trace lacks are NaN in its columns.
+    The columns are named ``*_mean`` and ``*_sd`` after the run. Parameters that a trace lacks are NaN in its
+    columns.
     """
     columns: dict[str, object] = {"unit": problem.units}
     for name, trace in traces.items():
@@ -30,7 +31,7 @@ def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.D
 
 
 def moments_table(parameters: pd.DataFrame, names: Mapping[str, str]) -> str:
-    """Return the table of `moments` for a page, in customary units, with the `names` of the traces in words."""
+    """Return the table from `moments` for a page, in customary units, with the traces' `names` in words."""
     rows = []
     for parameter, row in rows_of(parameters):
         unit = customary_unit(row["unit"])

@@ -1,4 +1,4 @@
-"""A test of the paper's remark that a vector β, with a weight for every mode, would improve the first mode."""
+"""Test the paper's remark that a vector β, with a weight for every mode, would improve the first mode."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SCALAR, VECTOR = "scalar", "vector"
 
 
 def relative_weights(frequencies_hz: FloatArray) -> FloatArray:
-    """Return the weights β_i = 1/(2σ_i²) of the modes in 1/Hz², where σ_i is `RELATIVE` times the frequency."""
+    """Return the modes' weights β_i = 1/(2σ_i²) in 1/Hz², where σ_i is `RELATIVE` times the frequency."""
     return 1.0 / (2.0 * (RELATIVE * frequencies_hz) ** 2)
 
 
@@ -49,13 +49,13 @@ class VectorBeta:
         One row per measured mode. Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors
         |f − f_m|/f_m in %: ``measured`` (without error), ``initial``, ``published`` (the paper's HMC column), and
         ``scalar`` and ``vector``, the model at the posterior mean with the scalar and with the vector β. Columns
-        ``*_sigma_hz`` are the standard deviation of the frequency error that corresponds to each β, in Hz.
+        ``*_sigma_hz`` are the frequency error sd that corresponds to each β, in Hz.
     parameters : DataFrame
         One row per parameter, SI units: ``unit``, and the posterior mean and sd with each β.
     runs : DataFrame
         One row per β (`SCALAR`, `VECTOR`): ``converged``, the largest ``rhat``, and the smallest bulk ESS ``ess``.
     reasons : mapping of str to tuple of str
-        The reasons why the run has not converged, by β.
+        The reasons why the run has not converged, keyed by β.
     """
 
     case: str
@@ -67,7 +67,7 @@ class VectorBeta:
 
     @property
     def name(self) -> str:
-        """The name of the experiment, for example ``"young-shape"``."""
+        """Name of the experiment, for example ``"young-shape"``."""
         return directory_of(self.case, self.pairing)
 
     @property
@@ -77,7 +77,7 @@ class VectorBeta:
 
     @property
     def outcome(self) -> str:
-        """The verdict on whether the vector β reduces the error of mode 1.
+        """Whether the vector β reduces the error in mode 1.
 
         It is ``"confirmed"``, ``"not confirmed"`` or, unless both runs converged, ``"cannot be judged"``.
         """
@@ -104,7 +104,7 @@ def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) 
 
 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
-    """Return tables that compare the long HMC run with the scalar β and the run of `sample_weighted`."""
+    """Return tables that compare the long HMC run with the scalar β and the run from `sample_weighted`."""
     import pandas as pd
 
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}
@@ -149,7 +149,7 @@ NAMES = {SCALAR: "scalar β = 1", VECTOR: f"vector β, σ = {share(RELATIVE)}"}
 
 
 def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
-    """Return the content of vector-beta.md."""
+    """Return the Markdown text of vector-beta.md."""
     parts = [
         "# A β for every mode\n",
         f"The paper, section 5.1, after Table 2: *{REMARK}* It does not test this.\n",
@@ -171,7 +171,7 @@ def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
 
 
 def outcome(study: VectorBeta) -> str:
-    """Return sentences on the change of the error of mode 1, and on the largest errors of the other modes."""
+    """Return sentences on how the error in mode 1 changes, and on the other modes' largest errors."""
     first, others = study.modes.iloc[0], study.modes.iloc[1:].max()
     return (
         f"{study.title}: {study.outcome}. Mode 1 is off by {fixed(first['initial_error'], 2)} % before "
@@ -206,7 +206,7 @@ def _modes(study: VectorBeta) -> str:
 
 
 def plot_vector_beta(studies: Sequence[VectorBeta], figure: Figure | None = None) -> Figure:
-    """Draw the error of every mode with the scalar β and with the vector β, one panel per experiment."""
+    """Plot every mode's error with the scalar β and with the vector β, one panel per experiment."""
     figure = figure or new_figure(3.4 * len(studies) + 0.6, 4.2)
     frames = figure.subplots(1, len(studies), sharey=True, squeeze=False)[0]
     looks = {

@@ -47,18 +47,18 @@ _MODES = (
 
 @dataclass(frozen=True)
 class WrongModel:
-    """Tables that compare a model without and with scatter of its parameters over the modes.
+    """Tables that compare a model with and without parameter scatter over the modes.
 
     Attributes
     ----------
     title : str
         The measurement in words.
     name : str
-        The name of the experiment, for example ``"young-shape"``.
+        Name of the experiment, for example ``"young-shape"``.
     modes : DataFrame
         One row per measured mode: ``measured_hz``, and for each model (`WITHOUT`, `WITH`) the prediction of the
         measurement from the other modes in Hz, ``*_mean``, ``*_sd``, ``*_eti90_lb`` and ``*_eti90_ub``, and
-        ``*_off``, the distance of the measured frequency from its mean in standard deviations.
+        ``*_off``, the distance between the measured frequency and its mean in standard deviations.
     parameters : DataFrame
         One row per parameter of the model with scatter, SI units: ``unit``, and the posterior mean and sd.
     runs : DataFrame
@@ -79,7 +79,7 @@ class WrongModel:
         problems: Mapping[str, UpdatingProblem],
         traces: Mapping[str, xr.DataTree],
     ) -> WrongModel:
-        """Return the comparison of the models `WITHOUT` and `WITH`, in which each mode is left out in turn.
+        """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
         With several tests, which have many modes, the draws are reweighted instead of repeating the update.
         """
@@ -100,7 +100,7 @@ class WrongModel:
 
 
 def allow_for_scatter(problem: UpdatingProblem) -> UpdatingProblem:
-    """Return a problem of an experiment of the paper whose parameters may scatter from mode to mode."""
+    """Return one of the paper's problems with parameters that may scatter from mode to mode."""
     return UpdatingProblem(
         problem.model, problem.data, problem.parameters, error="frequency", discrepancy=Discrepancy()
     )
@@ -123,7 +123,7 @@ def study_wrong_model(
 
 
 def wrong_model_page(studies: Sequence[WrongModel]) -> str:
-    """Return the content of model-error.md."""
+    """Return the Markdown text of model-error.md."""
     parts = [
         "# A model that may be wrong\n",
         "The data contradict the model in all experiments of the paper: no parameters fit all modes. The paper's "
@@ -188,7 +188,7 @@ def runs_sentence(study: WrongModel) -> str:
 
 
 def plot_wrong_model(studies: Sequence[WrongModel], figure: Figure | None = None) -> Figure:
-    """Draw each measured frequency with its predictions from the other modes, one panel per experiment."""
+    """Plot each measured frequency with its predictions from the other modes, one panel per experiment."""
     figure = figure or new_figure(7.6, 2.6 * ((len(studies) + 1) // 2) + 0.8)
     frames = figure.subplots((len(studies) + 1) // 2, 2, sharex=True, squeeze=False).ravel()
     looks = {WITHOUT: (GREY, "s"), WITH: (COLOURS[SAMPLER], "o")}
