@@ -154,7 +154,7 @@ class Store:
         self.close()
 
     def _tidy(self) -> None:
-        """Remove unfinished files left by killed processes, and ``failures.csv``, which is rebuilt from the steps."""
+        """Remove killed processes' unfinished files, and ``failures.csv``, which is rebuilt from the steps."""
         for leftover in (*self.directory.rglob(".*.part"), self.directory / LEDGER):
             with suppress(OSError):  # a remaining file does no harm
                 leftover.unlink(missing_ok=True)
