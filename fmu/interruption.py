@@ -77,7 +77,8 @@ _current: _Stop | None = None
 def stoppable() -> Iterator[None]:
     """Make SIGINT and SIGTERM raise KeyboardInterrupt at once, except in `interruptible` and `shielded` blocks.
 
-    Only the main thread handles signals, so this does nothing in another thread, nor inside another such block.
+    Only the main thread handles signals, so this has no effect in another thread, nor within another of these
+    blocks.
     """
     with _listening():
         yield

@@ -128,7 +128,7 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: 
     Raises
     ------
     ValueError
-        If the length of a row differs from that of the header.
+        If a row is not as long as the header.
     """
     n = len(header)
     lines = [list(map(_literal, header)), [":--" if i in words or i - n in words else "--:" for i in range(n)]]

@@ -144,7 +144,7 @@ class PairingChanges:
 
 @check_arguments
 def pairing_changes(trace: xr.DataTree) -> PairingChanges:
-    """Return how often the pairing of modes changed over the retained draws of a run.
+    """Count how often the pairing of modes changed over the retained draws of a run.
 
     Two kinds of change are possible. First, the *order* of the measured modes may differ from the order before
     updating. This is harmless as long as each mode keeps its shape. Second, another *computed mode* may be paired
@@ -198,7 +198,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
 
 def jump_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a warning, in a list, if the pairing by MAC, and so the log-probability, jumps within the draws."""
+    """Return a list with a warning if the pairing by MAC, and so the log-probability, jumps within the draws."""
     if not has(trace, GROUP) or trace[GROUP].attrs["rule"] != "shape":
         return []
     found = pairing_changes(trace)

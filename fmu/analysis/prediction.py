@@ -254,7 +254,7 @@ def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margi
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
-    """Return a warning, in a list, if a draw has a higher log-probability than any maximum found."""
+    """Return a list with a warning if a draw has a higher log-probability than any maximum found."""
     reached = float(array_of(trace, "sample_stats", "lp").max())
     if reached <= highest + 1e-3:
         return []

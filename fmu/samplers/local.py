@@ -19,8 +19,8 @@ from fmu.types import BoolArray, FloatArray, LogDensity
 class LocalSampler(Sampler):
     """Settings of a sampler that moves one point per chain by local steps.
 
-    The mixture sampler takes such steps between its candidates, and tempering moves its replicas with them. With
-    the jumps that `with_jumps` adds, a local sampler's chains can cross from one maximum to another.
+    The mixture sampler takes these steps between its candidates, and tempering uses them to move its replicas.
+    With the jumps that `with_jumps` adds, a local sampler's chains can cross from one maximum to another.
     """
 
     is_local: ClassVar[bool] = True

@@ -43,7 +43,7 @@ class Candidates(NamedTuple):
 
 
 def candidates_of(trace: xr.DataTree) -> Candidates | None:
-    """Return the number of candidates that a run drew and the number that it needs; None if it drew none.
+    """Return the number of candidates that a run drew and the number that it needs, or None if it drew none.
 
     Chains reach a separate maximum through candidates from its mixture component, and the component's weight gives
     their expected number. If that number is small, every chain may have missed a maximum that warm-up found, and

@@ -281,7 +281,7 @@ def _is_above(trace: xr.DataTree, level: float) -> bool:
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return the reasons why a run has not converged, and warnings about the maxima's probability shares."""
+    """Return the reasons why a run has not converged, and warnings about the probabilities of the maxima."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
@@ -323,8 +323,8 @@ def _search(problem: LogDensity | None) -> list[Maxima]:
 def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:
     """Return the name of the representative run: a converged one if possible, with the largest ESS.
 
-    The representative run supplies the verdict on the model, the losses and the exported values wherever no
-    sampler is named. ESS is that of the worst parameter. Ties are resolved alphabetically, so the order of the
+    The representative run supplies the verdict on the model, the losses and the exported values if no sampler is
+    named. A run's ESS is the smallest over its parameters. Ties are resolved alphabetically, so the order of the
     runs does not matter.
 
     Parameters
@@ -347,7 +347,7 @@ def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
-    """Return how many steps to draw before judging a run again; 0 if it needs no more, or more would not help.
+    """Return the number of steps to draw before a run is judged again; 0 if more are not needed or do not help.
 
     Parameters
     ----------

@@ -297,7 +297,7 @@ def few_ensembles(trace: xr.DataTree) -> str:
 
 
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the mixture component with the fewest candidates if these are too few, in a list."""
+    """Return a list with a sentence on the mixture component with the fewest candidates, if they are too few."""
     found = candidates_of(trace)
     if found is None or found.drawn >= found.needed:
         return []
@@ -309,7 +309,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a sentence, in a list, on the chain or walker that stays longest at one point, if too long."""
+    """Return a list with a sentence on the chain or walker that stays too long at one point, if one does."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -358,7 +358,7 @@ def _diverges_for_good(trace: xr.DataTree) -> bool:
 
 
 def _heavy_weights(trace: xr.DataTree) -> list[str]:
-    """Return a sentence, in a list, if the candidate weights of a curved mixture have a heavy tail.
+    """Return a list with a sentence if the candidate weights of a curved mixture have a heavy tail.
 
     The mixture's curvature may be wrong beyond the draws to which it was fitted. Chains then hardly reach these
     regions, and R-hat does not show it.
@@ -376,7 +376,7 @@ def is_beyond_draws(trace: xr.DataTree) -> bool:
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a sentence on the largest of `values`, in a list; empty if all are below `limit`."""
+    """Return a list with a sentence on the largest of `values`, or an empty list if all are below `limit`."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -384,7 +384,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a sentence on the smallest of `values`, in a list; empty if all are at least `limit`."""
+    """Return a list with a sentence on the smallest of `values`, or an empty list if none is below `limit`."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))

@@ -100,7 +100,7 @@ def rhat_excess(table: pd.DataFrame) -> float:
 
 
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
-    """Return how many steps to draw before judging an insufficient run again.
+    """Return the number of steps to draw before an insufficient run is judged again.
 
     The run grows by 80 % of the steps that `growth` still requires or, if few are missing, by all of them plus 1
     %. It is at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run

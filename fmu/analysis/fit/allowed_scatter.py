@@ -89,7 +89,7 @@ def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list
 
 
 def _describe_correlation(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a clause, in a list, on an inferred correlation of the discrepancy between modes, if any."""
+    """Return a list with a clause on the inferred correlation of the discrepancy between modes, if any."""
     number = settings.get("correlation", {}).get("inferred", -1)
     if number < 0:
         return []

@@ -161,7 +161,7 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Return one check per mode; modes that were not predicted are checked by their residuals."""
+    """Check each mode by its prediction or, without one, by its residuals; return one `Check` per mode."""
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
@@ -255,7 +255,7 @@ def _judge_squares(
 
 
 def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return the check of all used data together, in a list."""
+    """Check the residuals of all used data together; return a list with this one check."""
     group = trace[GROUP].to_dataset()
     squares, n_modes = group["squares"], group.sizes["mode"]
     freedom = group["freedom"].to_numpy() * n_modes
@@ -271,7 +271,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _tests(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return one check per test of whether the other tests contradict it."""
+    """Check for each test whether the other tests contradict it; return one `Check` per test."""
     group, every = trace[GROUP].to_dataset(), trace["observed_data"].to_dataset()["of_test"]
     squares = group["squares"].sum("quantity")
     of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())
@@ -293,7 +293,7 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Return why the check of residuals tests nothing, or an empty string if it does test the model.
+    """Return the reason why the check of residuals tests nothing, or an empty string if it tests the model.
 
     The check would fail only for residuals `larger` times as large. With a degree of freedom left it still tests
     the model, because the parameters cannot fit arbitrary errors, even if they fit the present errors well.
@@ -315,7 +315,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Return one check per inferred standard deviation of whether it agrees with its prior."""
+    """Check whether each inferred standard deviation agrees with its prior; return one `Check` each."""
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -377,7 +377,7 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:
-    """Return one check per measured mode shape; empty if the residuals include the shape errors."""
+    """Check the MAC of each measured mode shape; empty list if the residuals include the shape errors."""
     if "shapes" in trace[GROUP]["quantity"].to_numpy():
         return []
     sentences = iter(shape_warnings(trace))

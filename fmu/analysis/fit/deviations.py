@@ -20,7 +20,7 @@ are."""
 
 
 def deviation_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a warning, in a list, if the measured standard deviations of some modes may be too small.
+    """Return a list with a warning if the measured standard deviations of some modes may be too small.
 
     Standard deviations from modal identification describe the scatter within one record. They include neither
     changes between records (temperature, level of vibration) nor the bias of the identification. The warning names

@@ -113,7 +113,7 @@ def _scores_of(one: Drawn, theta: FloatArray) -> FloatArray:
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return one check per parameter whose law is tested; empty for a single test.
+    """Check the law of each parameter; return one `Check` per parameter, or an empty list for a single test.
 
     A parameter is tested if it scatters, or if the model's law gives its value in every test.
     """
@@ -140,7 +140,7 @@ def checks_of_scores(
     level: float,
     others: Sequence[str] = (),
 ) -> list[Check]:
-    """Return one check per parameter.
+    """Check the scores of each parameter for outliers and for the causes in `find_effects`.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def quantity_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return one check per measured mass or displacement of whether the updated model reproduces it."""
+    """Check whether the updated model reproduces each measured mass or displacement; one `Check` each."""
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])
     for label in map(str, group["datum"].to_numpy()):

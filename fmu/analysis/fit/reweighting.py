@@ -107,12 +107,13 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
 
 
 def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
-    """Estimate the scatter from a model that is linear about the maximum, with Gaussian priors; None if unknown.
+    """Estimate the scatter from a model linearised at the maximum, or return None if that is unknown.
 
-    Let the parameters x, in prior standard deviations, have the prior N(x₀, I), and r = r* + S (x − x*). Then r* +
-    S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance of x is (I
-    + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter only through the moments of the prior. The
-    standard deviations without scatter are those of the draws or, if all draws are equal, of the linear model.
+    The priors are taken as Gaussian. Let the parameters x, in prior standard deviations, have the prior N(x₀, I),
+    and r = r* + S (x − x*). Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the
+    posterior of τ. The covariance of x is (I + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter
+    only through the moments of the prior. The standard deviations without scatter come from the draws or, if all
+    draws are equal, from the linear model.
     """
     linear = _linearise(trace)
     if linear is None or linear.expected is None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return one check per FRF of whether noise alone explains the misfit.
+    """Check for each FRF whether noise alone explains the misfit; return one `Check` per FRF.
 
     At each draw, Σ r² over the lines is chi-square if the model is correct, and P(χ² ≥ Σ r²) is uniform; its mean
     over the draws is compared with half the level (`fmu.analysis.fit.checks`).
@@ -60,7 +60,7 @@ def has_held_out(trace: xr.DataTree) -> bool:
 
 
 def held_out_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return one check per FRF that has values not used in updating.
+    """Check the predictions of FRF values not used in updating; return one `Check` per FRF with such values.
 
     The squared distance of these values from their prediction, noise included, is chi-square if the model is
     correct (`fmu.analysis.frf.predictions`).

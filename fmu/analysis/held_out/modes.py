@@ -260,7 +260,7 @@ def _by_own_run(problem: UpdatingProblem, k: int, near: FloatArray) -> HeldOut |
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a warning, in a list, about used modes that have neither reliable weights nor a reliable refit."""
+    """Return a list with a warning about used modes that have neither reliable weights nor a reliable refit."""
     table = kept_table(trace)
     if table is None:
         return []

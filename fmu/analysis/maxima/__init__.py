@@ -1,5 +1,6 @@
 """Maxima of the posterior, their probabilities, and the runs that missed one.
 
-A maximum's mass is the integral of the unnormalised posterior around it; its share is its fraction of the total
-mass. Reading order: results, search, mode_weights, missed, starts.
+The mass of a maximum is the integral of prior times likelihood around it. Divided by the total mass of all maxima,
+it gives the posterior probability of the maximum, called its share. Reading order: results, search, mode_weights,
+missed, starts.
 """

@@ -28,14 +28,14 @@ _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """Result of comparing a run's draws around each maximum with the maximum's share of the mass.
+    """Result of comparing the fraction of a run's draws around each maximum with its posterior probability.
 
     Attributes
     ----------
     reasons : list of str
         Reasons why the run has not converged: maxima that it missed, or visited out of proportion.
     outweighed : list of str
-        Shares on which importance sampling disagrees, but with a smaller ESS than the run's.
+        Disagreements for which importance sampling has a smaller ESS than the run, so that the run counts.
     """
 
     reasons: list[str]
@@ -103,11 +103,11 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 
 
 def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
-    """Compare the fraction of a run's draws around each maximum with the maximum's share of the mass.
+    """Compare the fraction of a run's draws around each maximum with the maximum's posterior probability.
 
-    If the two differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong, and the one with the larger
-    ESS counts. The run's ESS is that of the indicator "at this maximum", or the number of chains if no chain ever
-    changes maxima. For importance sampling it is the ESS of the weights.
+    If the two differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong; the estimate with the larger
+    ESS counts. For the fraction this is the ESS of the indicator "at this maximum", or the number of chains if no
+    chain ever changes maxima. For the probability it is the ESS of the importance weights.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Return True if a fraction of the draws and a share of the mass differ too much, unless both are small."""
+    """Return True if a fraction of draws and a posterior probability differ too much, unless both are small."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
@@ -282,7 +282,7 @@ def missed_places(
     Returns
     -------
     list of str
-        One sentence for each of the other runs that visited such a region.
+        One sentence for each other run that visited a missed region.
 
     Raises
     ------
@@ -331,9 +331,9 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return theta, log-probability and share of the mass of the other run's best far draw.
+    """Return theta, log-probability and posterior probability of the other run's best far draw.
 
-    Return None if the mass is negligible.
+    Return None if the probability is negligible.
     """
     W = here.metric()
     ndim = here.position.shape[2]

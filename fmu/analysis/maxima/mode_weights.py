@@ -124,7 +124,7 @@ def _importance(
 
 
 def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
-    """Return the mass and moments of P around each maximum; None for one where no draw has a finite weight."""
+    """Return the mass and moments of P around each maximum, or None if no draw there has a finite weight."""
     belongs = log_shares(maxima, u)
     return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 

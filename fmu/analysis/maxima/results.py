@@ -39,12 +39,12 @@ RELIABLE = 20.0
 
 
 def share_of_mass(part: float) -> str:
-    """Format a maximum's share of the mass; a share that underflows is not shown as zero."""
+    """Format a maximum's posterior probability, which is not shown as zero even if it underflows."""
     return share(max(part, np.finfo(float).tiny))
 
 
 def mass_in_words(part: float) -> str:
-    """Describe a share of the probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
+    """Describe a posterior probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
     text = share_of_mass(part)
     return text.replace("< ", "less than ").replace("> ", "more than ") if text[0] in "<>" else f"about {text}"
 
@@ -242,7 +242,7 @@ class Maxima:
         )
 
     def drop(self, theta: FloatArray) -> FloatArray:
-        """Return how far each maximum's quadratic model drops from its peak to theta (n, ndim), shape (maxima, n).
+        """Return the drop of each maximum's quadratic model from its peak to theta (n, ndim), shape (maxima, n).
 
         The drop is infinite for maxima so low that they have no mass, because an ascent may have ended on a slope
         there.

@@ -1,4 +1,4 @@
-"""Overdispersed starting points for chains around the posterior maxima, in proportion to their shares."""
+"""Overdispersed starting points for chains around the maxima, in proportion to their posterior probabilities."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def middle(problem: Any) -> Quadratic:
 
 
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
-    """Draw the starting points of all chains around the maxima, in proportion to their shares.
+    """Draw the starting points of all chains around the maxima, in proportion to their posterior probabilities.
 
     Around each maximum, points are drawn from the local Gaussian approximation, widened by `DISPERSION` and
     truncated at the bounds. The approximation may be poor that far out. So any point whose log-probability is not
@@ -151,7 +151,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
         Number of chains, or of ensembles.
     walkers : int
         Number of walkers per ensemble; 1 for samplers with ordinary chains. The walkers of each ensemble are
-        allocated to the maxima in proportion to their shares.
+        allocated to the maxima in proportion to the posterior probabilities.
     seed : int
         Seed of the run.
 
@@ -186,9 +186,10 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
     """Return quadratic models at the important maxima, in scaled units, and their mixture weights.
 
-    Half of the weight is proportional to the shares, half is equal. A sampler then gets enough first candidates
-    around each maximum to find its shape, and notices a share that was estimated far too low. Without `maxima`,
-    the single component is at the typical point of a hierarchical posterior.
+    Half of the weight is proportional to the posterior probabilities of the maxima, half is equal. A sampler then
+    gets enough first candidates around each maximum to find its shape, and notices a probability that was
+    estimated far too low. Without `maxima`, the single component is at the typical point of a hierarchical
+    posterior.
     """
     if maxima is None:
         return [middle(density)], np.ones(1)
@@ -224,14 +225,15 @@ def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic
 def allot_chains(share: FloatArray, n: int) -> IntArray:
     """Return the index of the maximum at which each of `n` chains starts, shape (n,), in ascending order.
 
-    Every maximum gets one chain, those with the largest shares first if there are too few chains. The remaining
-    chains are allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares.
-    Maxima with a share below 1 %, or below a tenth of 1/n, get none: a chain that never leaves one of them would
-    be out of proportion (`fmu.analysis.maxima.missed.compare_shares`).
+    Every maximum gets one chain, the most probable maxima first if there are too few chains. The remaining chains
+    are allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the probabilities.
+    Maxima with a probability below 1 %, or below a tenth of 1/n, get none: a chain that never leaves one of them
+    would be out of proportion (`fmu.analysis.maxima.missed.compare_shares`).
 
     Parameters
     ----------
     share : ndarray, shape (maxima,)
+        Posterior probability of each maximum.
     n : int
     """
     least = max(NEGLIGIBLE, 1.0 / (OUT_OF_PROPORTION * n))

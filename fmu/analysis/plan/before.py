@@ -180,7 +180,7 @@ def known_before(
     n: int,
     rng: np.random.Generator,
 ) -> Before:
-    """Return what is known about the parameters before a planned test.
+    """Collect the structure, the parameters and their draws as they are known before a planned test.
 
     Parameters
     ----------

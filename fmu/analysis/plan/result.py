@@ -143,7 +143,7 @@ class Plan:
         return data_frame(columns, "parameter", self.design.names)
 
     def losses(self) -> pd.DataFrame | None:
-        """Return the table of losses from `Decision.expect`; None if the target is not damage."""
+        """Return the table of losses from `Decision.expect`, or None if the target is not damage."""
         if self.decision is None or self.design.target is None:
             return None
         readings = self.design.readings(frequency_sd=self.frequency_sd)

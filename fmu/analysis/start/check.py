@@ -335,7 +335,7 @@ def check(
 
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
-    """Return a sentence, in a list, on parameters that are neither updated nor scatter, if there are any."""
+    """Return a list with a sentence on parameters that are neither updated nor scatter, if there are any."""
     likelihood = discrepant_likelihood(problem)
     scattered = [] if likelihood is None else likelihood.errors.scattered.tolist()
     idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]

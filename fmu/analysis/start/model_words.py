@@ -53,7 +53,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def _describe_held(problem: UpdatingProblem) -> list[str]:
-    """Return a sentence, in a list, on the parameters that are not updated; empty if there are none."""
+    """Return a list with a sentence on the parameters that are not updated; empty if there are none."""
     held = [f"{p.name} = {with_unit(p.start, p.unit)}" for p in problem.layout.structural if not p.updated]
     return [f"Not updated: {', '.join(held)}."] if held else []
 
@@ -114,7 +114,7 @@ def _find_listed(problem: UpdatingProblem) -> list[int]:
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
-    """Return a sentence, in a list, on the mass that moves if all free degrees of freedom translate together.
+    """Return a list with a sentence on the mass that moves if all free degrees of freedom translate together.
 
     This mass is a check on units and densities. Next to a support the translation bends the elements, whose rotary
     inertia adds to the transverse mass. If the masses in all directions agree within 10 %, only the smallest is

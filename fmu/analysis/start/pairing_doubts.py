@@ -93,7 +93,7 @@ def close(
 
 
 def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
-    """Return a warning, in a list, if the paired modes are not in the order of the measured frequencies."""
+    """Return a list with a warning if the paired modes are not in the order of the measured frequencies."""
     order = np.argsort(measured, kind="stable")
     numbers = [paired[k] for k in order]
     if numbers == sorted(numbers):

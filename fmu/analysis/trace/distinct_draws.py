@@ -17,7 +17,7 @@ _NUMBERS = 2**18
 
 
 def batch_of(theta: FloatArray) -> int:
-    """Return how many of the draws theta (n, ndim) to evaluate at a time."""
+    """Return the number of draws to evaluate in one batch, which depends on the shape of theta (n, ndim)."""
     return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
 
 

@@ -69,7 +69,7 @@ class StoredEnsemble:
         return self.chain.shape[1], self.chain.shape[2]
 
     def find_moves(self, thin_by: int) -> BoolArray | None:
-        """Return a mask of the walkers that moved in each step, (steps, walkers); None if steps were not stored.
+        """Return a mask (steps, walkers) of the walkers that moved, or None if some steps were not stored.
 
         For the first step it follows from the number of accepted proposals.
         """

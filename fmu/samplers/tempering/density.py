@@ -60,7 +60,7 @@ class PriorAndLikelihood:
     ----------
     density : LogDensity
         A density with ``log_prior``, ``log_likelihood`` and ``sample_prior``, and with ``log_prior_and_grad`` if
-        gradients are needed; or the scaled view of such a density.
+        gradients are needed; or its scaled view.
     with_gradients : bool
 
     Raises

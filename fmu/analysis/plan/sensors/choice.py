@@ -1,7 +1,7 @@
 """Sensor selection: greedy by expected information, then exchanges of one sensor at a time.
 
 For independent errors the greedy choice reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher
-1978, *Math. Program.* 14, 265–294). Mode shapes of unknown scale have no such guarantee; `bound` then shows how
+1978, *Math. Program.* 14, 265–294). This does not hold for mode shapes of unknown scale; `bound` then shows how
 far a choice can be from the best.
 """
 
@@ -153,9 +153,9 @@ def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple
 
 
 def visibility(readings: Readings) -> FloatArray:
-    """Return how visible the modes are at each candidate, shape (n_candidates,).
+    """Return a measure of how much the modes move each candidate, shape (n_candidates,).
 
-    The measure is φ² relative to its largest value, summed over the modes and averaged over the draws.
+    It is φ² relative to its largest value, summed over the modes and averaged over the draws.
     """
     square = readings.shapes**2
     largest = np.max(square, axis=1, keepdims=True)

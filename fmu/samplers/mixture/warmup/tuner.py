@@ -284,7 +284,7 @@ class MixtureTuner:
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return all weighted candidates so far; None if there are none or the mixture is curved."""
+        """Return all weighted candidates so far, or None if there are none or the mixture is curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or not known.any():
