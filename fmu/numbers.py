@@ -244,7 +244,7 @@ def _exponent(value: float) -> int:
 
 
 def _last_place(value: float, digits: int) -> int:
-    """Return the power of ten of the last of `digits` significant digits of a value, after rounding."""
+    """Return the exponent of the last digit that is shown when a value is rounded to `digits` digits."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2]) - digits + 1 if value else 0
 
 

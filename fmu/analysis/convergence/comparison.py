@@ -196,7 +196,7 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 
 
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
-    """Return sentences on the cost at which each ensemble met the criterion and passed its additional tests.
+    """Return sentences on the costs at which each ensemble sampler met the criterion and passed all tests.
 
     The text is empty if no sampler is an ensemble sampler.
     """

@@ -128,7 +128,7 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The reasons; if the run converged, sentences on what the verdict does not cover."""
+        """Reasons why the run has not converged or, if it has, sentences on what the verdict does not cover."""
         said = self.reasons
         if self.converged and not self.few:
             said = self.doubts_of_search or ((self.search,) if self.search else ())
@@ -207,7 +207,7 @@ def diagnose(
 
 
 def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
-    """Return the search results for maxima that are stored in the traces."""
+    """Return the maxima that earlier searches found and stored in the traces."""
     return [maxima for maxima in map(maxima_of, (trace, *others.values())) if maxima is not None]
 
 
@@ -347,7 +347,7 @@ def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
-    """Return the number of steps to draw before a run is judged again; 0 if more are not needed or do not help.
+    """Return the number of steps to draw before a run is judged again; 0 if none are needed or would help.
 
     Parameters
     ----------

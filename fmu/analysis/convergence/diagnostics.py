@@ -179,9 +179,9 @@ def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArr
 def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
     """Return True if walkers stay in separate regions, so that more steps would not help.
 
-    If walkers mix, a run is about twice as many autocorrelation times long as its first half (1.1 to 2.5 times in
-    140 runs). If they stay apart, the autocorrelation time grows with the run, and the two lengths are equal. Runs
-    shorter than 3 autocorrelation times cannot be told apart.
+    If walkers mix, a run spans about twice as many autocorrelation times as its first half (1.1 to 2.5 times as
+    many in 140 runs). If they stay apart, the autocorrelation time grows with the run, and the two numbers are
+    equal. In runs shorter than 3 autocorrelation times the two cases cannot be distinguished.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence on the chain or walker that stays too long at one point, if one does."""
+    """Return a list with a sentence if a chain or walker stays too long at one point."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers

@@ -23,7 +23,7 @@ def split_chains(x: AnyArray) -> AnyArray:
 
 
 def normal_scores(x: FloatArray) -> FloatArray:
-    """Return the normal scores Φ⁻¹(rank) of all draws, with mean ranks for ties; same shape as `x` (see 4.1)."""
+    """Return the normal scores Φ⁻¹(rank) of all draws, same shape as `x` (section 4.1); ties share a rank."""
     order = np.argsort(x, axis=None)
     ordered = x.ravel()[order]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -42,7 +42,7 @@ def potential_scale_reduction(x: FloatArray) -> float:
 
 
 def rank_rhat(x: FloatArray) -> float:
-    """Return the larger R-hat of rank-normalised split chains and of their distances from the median (4.1)."""
+    """Return the larger of bulk and folded R-hat of rank-normalised split chains (section 4.1)."""
     split = split_chains(x)
     folded = np.abs(split - np.median(split))
     return max(potential_scale_reduction(normal_scores(one)) for one in (split, folded))

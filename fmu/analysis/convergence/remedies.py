@@ -94,7 +94,7 @@ def fewest(table: pd.DataFrame) -> float:
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return the largest R-hat − 1 relative to its limit; the ratio falls as the run grows longer."""
+    """Return the largest (R-hat − 1)/(limit − 1) over the parameters, which falls as the run grows longer."""
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
@@ -178,7 +178,7 @@ def for_too_few_draws(
 ) -> str:
     """Return a clause on how many draws a run needs, or on how to make its chains agree.
 
-    The clause is empty for a single chain, unless it comes from plain emcee, and if R-hat or an ESS is undefined.
+    The clause is empty if R-hat or an ESS is undefined, or for a single chain that is not from plain emcee.
 
     Parameters
     ----------

@@ -99,14 +99,14 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def contradicted_laws(trace: xr.DataTree) -> list[str]:
-    """Return the dependences on order, covariate or group that contradict a parameter's law, in words."""
+    """Describe each dependence on order, covariate or group that contradicts a parameter's law."""
     if not _has_laws(trace):
         return []
     return [check.dependence for check in population_checks(trace, _levels(trace)[1]) if check.dependence]
 
 
 def _has_laws(trace: xr.DataTree) -> bool:
-    """Return True if the trace stores the test scores from which parameter laws are checked."""
+    """Return True if the trace stores test scores, which show whether parameters follow their laws."""
     return has(trace, GROUP) and (has(trace, POPULATIONS, "score") or has(trace, RESIDUAL_SCORES, "score"))
 
 
@@ -243,7 +243,7 @@ def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float)
 def _judge_squares(
     kind: str, of: str, squares: FloatArray, freedom: int, limit: float, against: str, parts: str = ""
 ) -> tuple[Check, float]:
-    """Return the check of Σ r² at the draws, and the factor on all residuals at which it would fail.
+    """Check Σ r² at the draws; return the `Check`, and the factor on all residuals at which it would fail.
 
     `against` begins the check's sentence, and `parts` is added to the description of the sum.
     """

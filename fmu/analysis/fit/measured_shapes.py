@@ -63,7 +63,7 @@ def below(mac: float) -> str:
 
 
 def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
-    """Return each test's comparison of mode shapes with the model in one state, by test name.
+    """Compare each test's mode shapes with the model in one state; return the comparisons by test name.
 
     The name of a single test is an empty string. The dict is empty without measured shapes.
     """

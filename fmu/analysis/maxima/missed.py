@@ -79,7 +79,7 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return the drop in log P from a Gaussian's peak to the ellipsoid that contains the fraction `NEARBY` of it.
+    """Return the drop in a Gaussian's log-density from its peak to the ellipsoid that contains `NEARBY` of it.
 
     The drop is half of the χ² quantile.
     """
@@ -270,7 +270,7 @@ def missed_places(
     this run's chains, in the metric of the covariance within those chains. The mass of the far draws is estimated
     as exp(E[log P] + S), where S is the entropy of a Gaussian; this is exact if P is Gaussian. It is compared with
     the same estimate for this run, or with the total mass of the known maxima if that is larger. Regions near a
-    known maximum are left to `missed_maxima`.
+    known maximum are reported by `missed_maxima`.
 
     Parameters
     ----------

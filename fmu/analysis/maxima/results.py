@@ -185,12 +185,12 @@ class Maxima:
 
     @property
     def effective_draws(self) -> float:
-        """Smallest ESS among the masses that are not negligible."""
+        """Smallest ESS of the mass estimates, negligible maxima excluded."""
         return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
     def are_weighed(self) -> bool:
-        """Whether all points with mass are maxima, and each mass is estimated from enough effective draws."""
+        """Whether every point with mass is a maximum, and the ESS of its mass estimate is large enough."""
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property

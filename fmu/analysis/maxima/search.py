@@ -196,7 +196,7 @@ def _weigh(
 ) -> Maxima:
     """Compute the curvature and mass of the maxima found.
 
-    `solved` and `differentiated` are the numbers of solves and gradients before. If the solves are limited to
+    `solved` and `differentiated` count the solves and gradients so far. If the solves are limited to
     `most`, the curvature is the Gauss–Newton matrix, and the remaining solves are spent on the mass.
     """
     theta = np.array([maximum.theta for maximum in found])

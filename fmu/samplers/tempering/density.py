@@ -14,7 +14,7 @@ from fmu.types import FloatArray, IntArray, LogDensity
 
 
 class Points(NamedTuple):
-    """Positions with their priors and likelihoods, which give every tempered density; all share leading axes.
+    """Positions with log-priors and log-likelihoods, from which any tempered density can be computed.
 
     Attributes
     ----------

@@ -70,7 +70,7 @@ def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> t
 
 
 def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> tuple[int, ...]:
-    """Return the largest choice by a rule whose cost is within the budget; empty if not even one sensor is."""
+    """Apply a rule with as many sensors as the budget allows; return an empty choice if it allows none."""
     for count in range(limits.count, 0, -1):
         chosen = rule(replace(limits, count=count))
         if limits.is_affordable(chosen):

@@ -113,7 +113,7 @@ class Readings:
         return C, C @ Q[:, :, W.shape[2] :]
 
     def _new_rows(self, i: int, state: State) -> FloatArray:
-        """Return the rows r that each candidate adds at draw i, shape (n_candidates, d · modes, p)."""
+        """Return the information rows r that each candidate adds at draw i, (n_candidates, d · modes, p)."""
         b, N = state.lost[i, None], state.size[i, None]
         parts = []
         for t, column in enumerate(self.groups.T):
