@@ -32,7 +32,7 @@ _MOST_BY_FULL = 0.03
 
 @dataclass(frozen=True)
 class Effort:
-    """How many draws a certificate examines: where it bounds the error, and where it solves the full model.
+    """Numbers of draws at which a certificate bounds the error and at which it solves the full model.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
 
 
 def _is_outside(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return 1 for points outside the trained box, where the full model is used, otherwise 0; (n, n_modes)."""
+    """Return 1 for points outside the training bounds, where the full model is used, otherwise 0; (n, n_modes)."""
     outside = ~structure.within(points[:, : structure.n_parameters])
     return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
 

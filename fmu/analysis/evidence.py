@@ -318,7 +318,7 @@ def _of_run(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> F
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
-    """Return the total mass of the maxima as an evidence, with the reasons why it may be unreliable."""
+    """Estimate the evidence by the total mass of the maxima; give the reasons why it may be unreliable."""
     fewest = maxima.effective_draws
     at = "at the maximum" if len(maxima) == 1 else f"at {len(maxima)} maxima"
     doubts = []

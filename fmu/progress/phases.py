@@ -75,7 +75,7 @@ class Phase:
         self.tell()
 
     def tell(self) -> None:
-        """Call the notes, and also the report if the phase has lasted at least `AT_ONCE_S`."""
+        """Call the `Note` callbacks, and also the report if the phase has lasted at least `AT_ONCE_S`."""
         for note in self._notes:
             note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):

@@ -164,7 +164,7 @@ class HamiltonianTuner:
         self.averaging = DualAveraging(np.log(self.kernel.step_size), sampler.target_accept)
 
     def update(self, state: State, info: Info) -> None:
-        """Learn from one step."""
+        """Adapt the settings to one more warm-up step."""
         window_closed = self.learner.learn(state, info)
         acceptance = info.extra["acceptance_rate"]
         pooling = self.averaging.log_value.ndim == 0

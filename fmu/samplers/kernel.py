@@ -169,7 +169,7 @@ class Tuner(Protocol):
     kernel: Any
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Learn from one step, and update `kernel`.
+        """Adapt the settings to one more warm-up step, and update `kernel`.
 
         Return the number of evaluations that the learning itself took, shape (chains,), or None if it took none.
         """

@@ -280,7 +280,7 @@ class MetropolisTuner:
         self._restart(0.0)
 
     def update(self, state: State, info: Info) -> None:
-        """Learn from one step."""
+        """Adapt the settings to one more warm-up step."""
         learner = self.search.learner
         searching = learner.searching
         self.search.update(state, info)

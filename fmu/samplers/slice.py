@@ -239,7 +239,7 @@ class SliceTuner:
         self.window_closed = False
 
     def update(self, state: State, info: Info) -> None:
-        """Learn from one step."""
+        """Adapt the settings to one more warm-up step."""
         self.window_closed = self.learner.learn(state, info)
         if self.window_closed:
             self._take_covariance()

@@ -20,7 +20,7 @@ _STEPS, _ROUNDS = 201, 4
 
 
 def explain_by_channel(one: xr.Dataset) -> str:
-    """Return a clause on the channel error that explains most of an FRF's misfit, or "" if none does.
+    """Return a clause on the channel error that explains most of an FRF's misfit, or an empty string if none does.
 
     The candidate errors are a wrong gain, reversed polarity and a delay, each applied to the median of the model's
     FRFs.

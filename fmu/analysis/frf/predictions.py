@@ -86,7 +86,7 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
 
 def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> xr.Dataset:
-    """Return the FRF group of one test, at draws (n, n_own) of the parameters of this test's `term`."""
+    """Return the FRF group of one test; `theta` (n, n_own) are draws of its likelihood term's parameters."""
     import xarray as xr
 
     data = term.data

@@ -1,4 +1,5 @@
 """Predictions of each measured mode from the other modes: leave-one-out checks, and modes not used in updating.
 
-Reading order: refit, own_run, weights, modes.
+The posterior obtained by updating without a mode is the mode's leave-one-out posterior. Reading order: refit,
+own_run, weights, modes.
 """

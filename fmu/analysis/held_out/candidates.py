@@ -30,7 +30,7 @@ _GROUPS, _A_GROUP = 8, 20
 
 
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return quadratic models of log P at all maxima that may hold a significant part of the probability."""
+    """Return quadratic models of log P at all maxima that may have a significant probability."""
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
     return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
@@ -39,7 +39,7 @@ def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: 
 def gaussians(
     models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
 ) -> list[SequentialNormal]:
-    """Return each quadratic's Gaussian at each temperature, truncated at the bounds."""
+    """Return the Gaussians of all quadratics at all temperatures, truncated at the bounds."""
     return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
 
 
@@ -61,7 +61,7 @@ def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class PriorCandidates:
-    """The prior as a proposal. It bounds the weights: P/q is at most a multiple of the likelihood."""
+    """The prior as an importance-sampling proposal q, which bounds the weights by a multiple of the likelihood."""
 
     problem: UpdatingProblem
     scaled: ScaledDensity

@@ -187,10 +187,11 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 @dataclass
 class _Known:
-    """Cached results for a problem: each mode's prediction and limit of solves, and an approximation.
+    """Cached leave-one-out results for a problem.
 
-    `is_gaussian` is False if the common candidates did not cover the posterior with all modes. If separate runs
-    are possible, each mode's separate candidates, which are Gaussian too, are then not tried.
+    `rows` maps each mode index to the limit on solves and the prediction obtained with it. `approximation`
+    approximates the posterior with all modes. `is_gaussian` is False if the common candidates did not cover that
+    posterior. Separate Gaussian candidates for each mode are then not tried if a run can replace them.
     """
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
@@ -206,11 +207,12 @@ def _known_of(problem: UpdatingProblem) -> _Known:
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return the predictions after updating without each mode, by mode index, within the limit of solves.
+    """Predict each mode from its leave-one-out posterior, with at most `most` solves per mode.
 
-    All modes are first left out with a common set of candidates. Modes that these do not cover well get candidates
-    of their own. No Gaussians are good candidates for a funnel, so nothing is returned for it. The cached results
-    depend on the problem and not on the draws, so one computation serves all samplers.
+    The predictions are returned by mode index. One set of candidates is first used for all modes. Modes that it
+    does not cover well get candidates of their own. Nothing is returned for a funnel, where Gaussians are poor
+    candidates. The cached results depend on the problem and not on the draws, so one computation serves all
+    samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES and not is_in_funnel(problem):
@@ -233,9 +235,9 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: FloatArray) -> dict[int, HeldOut]:
-    """Return predictions from separate runs without each mode, by mode index; unreliable ones are left out.
+    """Predict each mode from separate draws of its leave-one-out posterior; return reliable results by mode index.
 
-    The runs start from draws of the posterior with all modes, `near` (n, ndim), SI units.
+    The draws start from `near` (n, ndim), SI units, which are draws of the posterior with all modes.
     """
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
@@ -248,7 +250,7 @@ def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: 
 
 
 def _by_own_run(problem: UpdatingProblem, k: int, near: FloatArray) -> HeldOut | None:
-    """Return the prediction of mode `k` from a separate run without it, or None if the run is not reliable."""
+    """Predict mode `k` from separate draws of its leave-one-out posterior; return None if they are unreliable."""
     other = _without(problem, k)
     found = draws_without(other, near, _SEED)
     if found is None:
@@ -292,7 +294,7 @@ def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws
 
 
 def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
-    """Predict mode `k` from draws of a posterior without it, given the mode's log-density at the draws, (n,)."""
+    """Predict mode `k` from draws of a posterior without it; `log_p` (n,) is the mode's log-density there."""
     row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
@@ -303,7 +305,10 @@ def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers:
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
-    """Return the predictions without each of `modes`, with their limits of solves, if the candidates suffice."""
+    """Predict several modes from leave-one-out posteriors with common candidates; omit modes not covered well.
+
+    Return the limit on solves and the prediction, by mode index.
+    """
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
@@ -335,7 +340,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
 
 
 def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
-    """Return the table row of mode `k`, predicted by the posterior without it; unreliable numbers are NaN."""
+    """Return the table row of mode `k` from its leave-one-out posterior; unreliable numbers are NaN."""
     used = draws.problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:

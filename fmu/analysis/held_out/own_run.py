@@ -1,4 +1,4 @@
-"""Draws of the posterior without a mode if Gaussians are poor proposals: by fitted candidates, or by a run."""
+"""Draws from a leave-one-out posterior if Gaussians are poor proposals, by fitted candidates or by a run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ its draws."""
 
 
 def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> FloatArray | None:
-    """Return draws of a posterior, (chains, n, ndim), SI units, or None if they do not converge.
+    """Return draws from a leave-one-out posterior, (chains, n, ndim), SI units, or None if they do not converge.
 
     They are resampled candidates if the candidates' weights are reliable (`_by_rounds`), otherwise draws of a run.
     The run has converged if R-hat and ESS of all parameters meet the limits of `fmu.diagnose`. Until then the
@@ -48,7 +48,7 @@ def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> Floa
     without : UpdatingProblem
         The problem updated without the mode (`UpdatingProblem.using`).
     near : ndarray, shape (n, ndim)
-        Draws of the posterior with the mode, SI units.
+        Draws from the posterior with the mode, SI units.
     seed : int
     """
     maxima = find_map(without, _STARTS)
@@ -70,12 +70,12 @@ def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> Floa
 
 
 def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> FloatArray | None:
-    """Return independent draws of a posterior, (n, ndim), SI units, or None if their weights are not reliable.
+    """Return independent draws from a posterior, (n, ndim), SI units, or None if their weights are not reliable.
 
-    Walkers that start at draws with the mode spread over the posterior without it. Candidates come from a mixture
-    that is fitted first to the walkers and then, in rounds, to the candidates. Parameters with log-normal priors
-    are replaced by their logarithms, in which a posterior is less skewed. If the Pareto k of the weights is low,
-    candidates are resampled by weight, as many as their ESS.
+    Walkers start at `near`, draws from the posterior with the mode, and spread over the posterior without it.
+    Candidates come from a mixture that is fitted first to the walkers and then, in rounds, to the candidates.
+    Parameters with log-normal priors are replaced by their logarithms, in which a posterior is less skewed. If the
+    Pareto k of the weights is low, candidates are resampled by weight; the number of draws is their ESS.
     """
     density = LogarithmicDensity(without)
     rounds, u = Rounds(Target(density)), density.to_scaled(near[rng.choice(len(near), _WALKERS)])
@@ -93,7 +93,7 @@ def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 
 
 def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -> bool:
-    """Return True if a maximum lies outside the ellipsoid that would contain nearly all draws theta (n, ndim)."""
+    """Return True if a maximum lies outside the ellipsoid that contains nearly all draws theta (n, ndim)."""
     from scipy.special import chdtri
 
     draws = scaled.to_scaled(theta)

@@ -1,4 +1,4 @@
-"""The posterior without a mode, by importance sampling, and the predictive density of that mode's measurement.
+"""Leave-one-out posteriors by importance sampling, and the predictive density of the left-out measurement.
 
 A mode's elpd is the log-density of its measurement given the other modes.
 """
@@ -73,7 +73,7 @@ class Approximation:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """The posterior without a mode, and the predictive density of that mode's measurement.
+    """A leave-one-out posterior, and the predictive density of the left-out mode's measurement.
 
     Attributes
     ----------
@@ -99,12 +99,12 @@ class LeftOut:
 
     @property
     def effective(self) -> float:
-        """Kish's effective sample size of the draws for the posterior without the mode."""
+        """Kish's effective sample size of the draws for the leave-one-out posterior."""
         return effective_size(self.log_weights[0])
 
     @property
     def predicts(self) -> bool:
-        """Whether the weighted draws represent the posterior without the mode well enough."""
+        """Whether the weighted draws represent the leave-one-out posterior well enough."""
         return bool(self.pareto_k[0] <= GOOD_K and self.effective >= _EFFECTIVE)
 
     @property
@@ -151,7 +151,7 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
     """Return the problem with `_SHARE` of its reduced basis, or unchanged if this would alter log P noticeably.
 
-    It serves only for chains whose draws become proposals, which need not be exact.
+    Chains of the cheaper problem only supply proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem
@@ -163,7 +163,7 @@ def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> Updat
 def _walk_chains(
     problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return draws of short chains that start at some of the weighted draws; scaled, shape (n, ndim)."""
+    """Run short chains from some of the weighted draws; return their draws in scaled coordinates, (n, ndim)."""
     scaled = ScaledDensity(problem)
     start = resample(rng, u, log_w, _WALKERS)
     seed = int(rng.integers(2**31))
@@ -249,7 +249,7 @@ def _draw_until_enough(
 
 
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
-    """Return the log-probabilities of problems that share a model, and its frequencies, (n, n_problems + n_modes).
+    """Return log-probabilities of problems with a common model, and its frequencies, (n, n_problems + n_modes).
 
     Unless a pairing is soft, the model is solved once at each theta. The last problem must use all modes of the
     other problems.

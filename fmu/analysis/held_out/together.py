@@ -1,8 +1,8 @@
-"""The posteriors without each of several modes, from one set of draws.
+"""Leave-one-out posteriors of several modes from one set of draws.
 
-A solve gives all frequencies, and thus the log-probability both with all modes and without any one of them. The
-same draws from one mixture are weighted for all posteriors, so leaving out ten modes takes about as many solves as
-leaving out one.
+A solve gives all frequencies, and therefore the log-probability both with all modes and without any one of them.
+The same draws from one mixture are weighted for all posteriors, so leaving out ten modes takes about as many
+solves as leaving out one.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def left_out_together(
 def _first_models(
     problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
 ) -> tuple[list[list[Quadratic]], dict[int, FloatArray], UpdatingProblem]:
-    """Return quadratics fitted to each posterior, and starting points for chains in poorly covered posteriors.
+    """Fit quadratics to each posterior; also return starting points for chains in poorly covered posteriors.
 
     The last posterior's maxima are additional starting points in the search for the other posteriors' maxima. The
     third result is the last problem, with only part of the reduced basis if this suffices for chains.
@@ -126,7 +126,7 @@ def _first_models(
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Resample draws with flattened weights, (_WALKERS, ndim), because too few draws may have high weights."""
+    """Resample draws, (_WALKERS, ndim), with flattened weights, because few draws may have all the weight."""
     return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 
@@ -136,7 +136,7 @@ def _walk(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
-    """Return the draws of short chains in some of the posteriors, by posterior index, each (n, ndim), scaled.
+    """Run short chains in some of the posteriors; return scaled draws (n, ndim) by posterior index.
 
     The chains use differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the
     difference of two other walkers, so that the walkers spread along a ridge. The walkers of all posteriors move
@@ -195,7 +195,7 @@ def walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A mixture with equal weight for each posterior, shared equally by its Gaussians; the prior has less."""
+    """A mixture with equal weight for each posterior, divided among its Gaussians, and less for the prior."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal
@@ -216,7 +216,7 @@ def _draws(
     rng: np.random.Generator,
     n: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return about `n` draws from a mixture, its log-density, and log P of all problems with the frequencies."""
+    """Return about `n` draws from a mixture, its log-density, and the log-probabilities and frequencies there."""
     u, log_q = mixture.draws(rng, n)
     solved = by_parts("importance sampling", lambda v: log_prob_of_all(problems, scaled.to_theta(v)), u)
     return u, log_q, np.concatenate(solved)
@@ -229,7 +229,7 @@ def _weigh_candidates(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
-    """Return draws from a mixture, log P of all problems, and comparisons of the `wanted` ones with the last."""
+    """Return draws from a mixture, log P of all problems, and leave-one-out results of the problems `wanted`."""
     n = len(problems)
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
     while True:

@@ -1,4 +1,4 @@
-"""Importance weights that turn the draws into draws of the posterior without a mode (PSIS)."""
+"""Importance weights that turn posterior draws into draws from a leave-one-out posterior (PSIS)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SMOOTHED_K = 0.5
 
 
 class Smoothed(NamedTuple):
-    """Log-weights (n,) for the posterior without a mode, Pareto k, whether k is low, elpd and its error."""
+    """Log-weights (n,) for a leave-one-out posterior, Pareto k, whether k is low, elpd and its standard error."""
 
     log_weight: FloatArray
     pareto_k: float

@@ -47,6 +47,7 @@ class Starts(NamedTuple):
     position : str or ndarray, shape (chains, ndim) or (chains, walkers, ndim)
         Argument of `fmu.samplers.Run`: a word, or positions in SI units.
     word : {"maxima", "prior", "start", "array"}
+        How the starting points were chosen.
     origin : str, ndarray or dict
         Description of the starting points in the run's configuration.
     """

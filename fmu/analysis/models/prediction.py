@@ -37,7 +37,7 @@ def predict_modes(
     draws: Count = 400,
     seed: Seed = 1,
 ) -> pd.DataFrame:
-    """Predict the lowest frequencies of a structure, measured or not, either as it is or modified.
+    """Predict the lowest frequencies of a structure, measured or not, in its present or a modified state.
 
     The model is solved at posterior draws. With a discrepancy each mode has its own error, as an unmeasured mode
     would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error σ, whose part common to all
@@ -57,8 +57,8 @@ def predict_modes(
     factors : mapping of str to float, optional
         Factors on parameters, by name: 0.8 for a stiffness that has lost 20 %.
     test : str, optional
-        If there are several tests, the name of the one whose parameters the structure has, such as the damaged
-        state.
+        Name of the test whose parameters the structure has, such as a test of the damaged state; required if there
+        are several tests.
     draws : int
         Largest number of draws used, evenly spaced over the trace. Each takes a solve of the full model.
     seed : int

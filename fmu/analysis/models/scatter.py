@@ -1,4 +1,4 @@
-"""Scatter of a wrong model's parameters: which of them cause the misfit, and what allowing for scatter changes."""
+"""Scatter of a wrong model's parameters: which ones cause the misfit, and how scatter changes the posterior."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Candidates:
     cost: FloatArray
 
     def rows(self, chosen: Sequence[int]) -> list[int]:
-        """Return the channel indices of the chosen candidates, in the given order."""
+        """Return the channel indices of the chosen candidates, candidate by candidate."""
         return [int(row) for k in chosen for row in self.groups[k] if row >= 0]
 
     def places(self, structure: SeparableModel) -> FloatArray | None:

@@ -112,7 +112,7 @@ class Check:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings about what to examine before sampling, one sentence each."""
+        """Warnings about problems to resolve before sampling, one sentence each."""
         found = [
             *self.priors,
             *self.discrepancy,

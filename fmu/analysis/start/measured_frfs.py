@@ -68,7 +68,7 @@ class MeasuredInTest:
 
     @classmethod
     def of(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
-        """Return the measured FRFs of `term` and the model's, at the parameters `own` (1, n_own) of this term."""
+        """Return an FRF likelihood term's measured FRFs, and the model's at its parameters `own` (1, n_own)."""
         there = term.data.used | held_out(term.data)
         computed = np.full(there.shape, np.nan, dtype=complex)
         computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]

@@ -45,9 +45,10 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings about measured shapes whose MAC (n_modes, n_computed) matches no computed mode, or two.
+    """Return warnings about measured modes whose shape matches no computed mode, or two, by MAC.
 
-    Close modes whose subspace matches the measured one are skipped.
+    `alike` is the MAC, shape (n_modes, n_computed). Close modes whose subspace matches the measured one are
+    skipped.
     """
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):

@@ -237,7 +237,7 @@ def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, .
 
 
 def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
-    """Return a dataset of the sampler's statistics, without the log-likelihoods of tempered chains.
+    """Return a dataset of the sampler's statistics, except the log-likelihoods at tempered rungs.
 
     Mixture weights P/q are converted to densities in SI units.
     """

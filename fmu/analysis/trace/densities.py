@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def is_updating(problem: object) -> TypeGuard[UpdatingProblem]:
-    """Return True if `problem` is an updating problem, or an object with its attributes."""
+    """Return True if `problem` is an updating problem, or has the attributes of one."""
     return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
 
 

@@ -167,7 +167,7 @@ class Kept:
 
     @classmethod
     def of(cls, ensembles: list[StoredEnsemble], discard: list[int], thin: int) -> Kept:
-        """Return each ensemble's last steps, as many as the shortest has; raise ValueError if it has none."""
+        """Return the last steps, equally many for each ensemble; raise ValueError if an ensemble has none."""
         each = []
         for ensemble, skipped in zip(ensembles, discard, strict=True):
             stored = len(ensemble.chain)

@@ -25,7 +25,7 @@ _OF_NETCDF = ("_Netcdf4", "_NC")
 
 
 def to_netcdf(tree: xr.DataTree) -> bytes:
-    """Return the content of a netCDF-4 file that stores the datasets of a tree, as bytes.
+    """Return the datasets of a tree as the bytes of a netCDF-4 file.
 
     Raises
     ------

@@ -181,7 +181,7 @@ def modes_are_data(trace: xr.DataTree) -> bool:
 
 
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the measured modes; unused modes are marked unless all modes are unused."""
+    """Return the names of the measured modes; if only some are used in updating, the others are marked."""
     labels, are_data = trace["observed_data"]["mode"].to_numpy(), modes_are_data(trace)
     return [
         str(label) if used or not are_data else f"{label} (not used)"

@@ -221,7 +221,7 @@ class GibbsKernel(MovesOfMain):
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density of each test's scores due to correlation in time, (chains, n_tests)."""
+        """Return the log-density terms that correlation in time adds for each test's scores, (chains, n_tests)."""
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
@@ -268,7 +268,7 @@ class GibbsTuner:
         self._take()
 
     def update(self, state: State, info: Info) -> None:
-        """Learn from one step."""
+        """Adapt the settings to one more warm-up step."""
         self.averaging.update(np.asarray(np.mean(info.extra["main_acceptance"])))
         self._take()
 

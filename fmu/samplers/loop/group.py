@@ -253,7 +253,7 @@ class _GroupRunner:
         )
 
     def _take_kernel(self) -> None:
-        """Select the kernel: the tuner's in warm-up, afterwards the one with the learnt settings."""
+        """Select the tuner's kernel in warm-up, and the kernel with the learnt settings afterwards."""
         if self.tuner is None:
             return
         if self.done[WARMUP] < self.context.warmup:

@@ -50,7 +50,7 @@ class _RunningGroup:
 
 
 class Run:
-    """A sampling run, which is warmed up once, when it is created, and can be extended any number of times.
+    """A sampling run that warms up once, when it is created, and can be extended any number of times.
 
     The same density, settings and seed give the same draws, bit for bit, whatever the number of chunks and
     workers, and however often the run is interrupted. Each group of chains has its own random generator, from

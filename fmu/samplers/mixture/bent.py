@@ -139,8 +139,8 @@ def _run_sweeps(
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
     """Fit Gaussians to points with responsibilities r (k, n); return None if every Gaussian has too few points.
 
-    Each Gaussian is widened to allow for its own uncertainty. A mean and covariance estimated from n points
-    underestimate a new point's expected squared distance by the factor 1 + (ndim + 2)/n.
+    Each Gaussian is widened to allow for its own uncertainty. Measured with the mean and covariance of n points, a
+    new point's expected squared distance is larger than a fitted point's by the factor 1 + (ndim + 2)/n.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

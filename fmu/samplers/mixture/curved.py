@@ -112,7 +112,7 @@ class CurvedMixture:
 
     @classmethod
     def of_arrays(cls, arrays: Tree) -> CurvedMixture:
-        """Return the mixture defined by the arrays that `arrays` returned."""
+        """Restore a mixture from the result of `arrays`."""
         of_curve, of_parts = (
             {name: np.asarray(arrays[name]) for name in kind.__dataclass_fields__}
             for kind in (Curve, BentGaussians)

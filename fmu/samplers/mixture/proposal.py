@@ -78,7 +78,7 @@ class Mixture:
 
     @classmethod
     def of_arrays(cls, arrays: Tree, lower: FloatArray, upper: FloatArray) -> Mixture:
-        """Return the mixture defined by the result of `arrays`, truncated at `lower` and `upper`."""
+        """Restore a mixture from the result of `arrays`, truncated at `lower` and `upper`."""
         quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
         covariances = [None if np.isnan(c).any() else c for c in arrays["covariance"]]
         quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, covariances, strict=True)]
@@ -263,7 +263,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 
 
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
-    """Return a warp of those coordinates whose warping makes the log-density more nearly quadratic."""
+    """Return a warp that transforms a coordinate if this makes the log-density more nearly quadratic."""
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):

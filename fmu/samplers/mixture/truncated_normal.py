@@ -129,7 +129,7 @@ def _order_coordinates(
 def _mean_of_cut_normal(a: float, b: float) -> float:
     """Return the mean of a standard normal truncated to [a, b], or NaN if it has no mass there.
 
-    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail it equals the limit with the higher density.
+    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail, the limit with the higher density approximates it.
     """
     low, high = (-b, -a) if a > 0 else (a, b)
     if -math.inf < high < -_FAR_OUT:

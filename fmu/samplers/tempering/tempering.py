@@ -148,7 +148,7 @@ class LadderTuner:
         self._begin(self.bound.temperatures)
 
     def update(self, state: State, info: Info) -> None:
-        """Learn from one step."""
+        """Adapt the settings to one more warm-up step."""
         self._tell_the_tuners(state, info)
         if len(self.lengths) > 1:
             self.log_likelihood.append(replicas_of(state).log_likelihood.T)

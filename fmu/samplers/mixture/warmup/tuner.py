@@ -111,7 +111,7 @@ class MixtureTuner:
         return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Learn from one step; return the evaluations that this cost, shape (chains,), or None if none."""
+        """Use one more warm-up step; return the evaluations that this cost, shape (chains,), or None if none."""
         self.done += 1
         if info.parts is not None:
             if self.local is not None:
