@@ -144,7 +144,7 @@ def certify(
         plausible = total >= total.max() - tolerance.depth
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any(exact[..., 1:] != found[..., 1:], axis=(1, 2))
-    # if the pairing differs, the bounds are of other modes
+    # if the pairing differs, the bounds belong to other modes
     exceeded = ~changed & np.any(errors > bound[solved] + effort.rounding * tolerance.frequency, axis=1)
     certificate = ReductionCertificate(
         draws=len(theta),

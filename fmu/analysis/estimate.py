@@ -79,7 +79,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
             side_by_side, each_s = 1, one_s + _OVERHEAD_S
             if (
                 solves * (one_s + _MOST_OVERHEAD_S) >= _WORTH_S
-            ):  # else measuring it would take longer than it saves
+            ):  # otherwise measuring it would take longer than it saves
                 with suppress(ValueError):  # a start without a finite log-probability: the run will report it
                     each_s = _seconds_in_a_sampler(problem, settings, orders, warmup, draws)
         else:

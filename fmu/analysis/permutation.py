@@ -106,7 +106,7 @@ def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
 
 
 def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the correlation of each column of centred sequences z (n_orders, n, m) with x (n,), (n_orders, m)."""
+    """Correlate each column of centred sequences z (n_orders, n, m) with x (n,); return shape (n_orders, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     t = np.where(present, x[:, None], 0.0)
     t = np.where(present, t - (t.sum(axis=1) / n)[:, None], 0.0)

@@ -110,8 +110,8 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     If the tests are independent, all orders of the tests are equally probable. The statistics are r_1 of each
     mode, the mean of r_1 over the modes, and the absolute correlation of each mode with the order. Each is
     standardised by its mean and standard deviation over random orders. All modes are permuted together, since they
-    may depend on each other. A statistic is significant if it exceeds the largest of all statistics in all but 0.5
-    % of the random orders.
+    may depend on each other. A statistic is significant if it exceeds the largest of all statistics in at
+    least 99.5 % of the random orders.
 
     Independent tests of any distribution are then called dependent in less than 1 % of problems (Westfall & Young
     1993, *Resampling-based multiple testing*, section 2.3). With five tests or fewer, nothing can be significant.

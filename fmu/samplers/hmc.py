@@ -29,7 +29,7 @@ _MOST_STEPS = 32
 SHORT_STEPS = 0.95
 """Acceptance rate that gives short steps, for densities on which longer steps diverge."""
 _TRIALS = 20
-# Longer steps are unstable on any curved density, and on a flat density they only meet the walls more often.
+# Longer steps are unstable on any curved density, and on a flat density they only meet the bounds more often.
 _LONGEST = 10.0
 
 

@@ -209,7 +209,7 @@ class SliceKernel(LocalKernel):
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Cut the intervals at the bounds of each coordinate that only one axis moves; return both ends."""
         left, right = ends[0].copy(), ends[1].copy()
-        if axes.ndim == 3:  # each chain's own axes, learnt and so oblique: cut only a single axis
+        if axes.ndim == 3:  # each chain has its own, oblique axes: only a single axis can be cut
             return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
         moves = axes != 0.0
         for i, k in np.argwhere(moves & (np.count_nonzero(moves, axis=1) == 1)[:, None]):
@@ -275,7 +275,7 @@ def _cut_line(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the interval ends (chains, 1), cut at the bounds, with one axis per chain (chains, ndim, 1)."""
     slope = axes[:, :, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a wall that is never met
+    with np.errstate(divide="ignore", invalid="ignore"):  # a bound that is never reached
         walls = np.stack([target.lower - x, target.upper - x]) / slope
     walls = np.where(slope == 0.0, [[[-np.inf]], [[np.inf]]], walls)
     first, last = walls.min(axis=0).max(axis=1), walls.max(axis=0).min(axis=1)

@@ -225,11 +225,11 @@ def drift(
     n_bounces = np.zeros(len(q), dtype=np.int64)
     arrived = np.zeros(len(q), dtype=bool)
     moving = np.flatnonzero(np.all(np.isfinite(v), axis=1))
-    while moving.size:  # each pass takes every point that is still moving to its next wall, or to its end
+    while moving.size:  # each pass moves every point that is still moving to its next bound, or to its end
         time, wall = _next_wall(q[moving], v[moving], lower, upper)
         free = time >= remaining[moving]
         end = moving[free]
-        # no wall is met before the end, so the clip only undoes rounding
+        # no bound is met before the end, so the clip only undoes rounding
         q[end] = _clip_to_box(q[end] + remaining[end, None] * v[end], lower, upper)
         arrived[end] = True
         if len(end) == len(moving):
@@ -239,14 +239,14 @@ def drift(
         moving, time, wall = moving[bounce], time[bounce], wall[bounce]
         q[moving] = _clip_to_box(q[moving] + time[:, None] * v[moving], lower, upper)
         normal_velocity = v[moving, wall]
-        q[moving, wall] = np.where(normal_velocity > 0, upper[wall], lower[wall])  # exactly on the wall
+        q[moving, wall] = np.where(normal_velocity > 0, upper[wall], lower[wall])  # exactly on the bound
         # n = e_i, so n·v = v_i and n·M⁻¹n = (M⁻¹)_ii: Δp = −2 v_i/(M⁻¹)_ii e_i and Δv = M⁻¹ Δp, a multiple of the
         # i-th column of M⁻¹
         column = metric.column(moving, wall)
         impulse = -2.0 * normal_velocity / column[np.arange(len(wall)), wall]
         p[moving, wall] += impulse
         v[moving] += impulse[:, None] * column
-        v[moving, wall] = -normal_velocity  # exactly, or rounding could leave the point moving into the wall
+        v[moving, wall] = -normal_velocity  # exactly, or rounding could leave the point moving out of the bounds
         remaining[moving] -= time
         n_bounces[moving] += 1
     arrived &= np.all(np.isfinite(q), axis=1)
@@ -382,7 +382,7 @@ class HamiltonianKernel(LocalKernel):
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the time to the next bound, infinite if there is none, and the coordinate it limits; both (n,)."""
-    # the coordinates move independently between walls: t_i = (wall ahead − q_i)/v_i, and the first is the smallest
+    # coordinates move independently between bounds: t_i = (bound ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0
     time = np.where(still, np.inf, (ahead - q) / np.where(still, 1.0, v))

@@ -30,15 +30,18 @@ if TYPE_CHECKING:
 INITS = ("maxima", "prior", "start")
 """Values of `init` that name starting points."""
 DEFAULT_SAMPLER = "mixture"
-"""The sampler with the most effective draws per evaluation in all comparisons, with and without gradients.
+"""Name of the default sampler, which gave the largest ESS per evaluation in all comparisons.
 
-Smallest bulk ESS per evaluation after a warm-up of 1000 steps, where a gradient counts as 1.9 evaluations, for the
-mixture and for HMC: 0.54 and 0.05 on cantilever-young, 0.77 and 0.05 on cantilever-section paired by number, 0.59
-and 0.02 on shear-2dof, 0.06 and 0.06 on shear-10dof, where the samplers needed 20 000 and 35 000 evaluations to
-converge. Smallest of the bulk and tail ESS per evaluation on densities without known maxima, such as a banana, two
-modes and a funnel: 0.20 to 0.75 for the mixture and 0.03 to 0.20 for HMC. On four of these densities with hidden
-gradients: 0.26 to 0.76 for the mixture and 0.05 to 0.14 for Metropolis–Hastings. On a Python function of two
-parameters: 0.35 for the mixture and 0.22 for Metropolis–Hastings.
+ESS per evaluation of the worst parameter, after a warm-up of 1000 steps; a gradient counts as 1.9 evaluations:
+
+- cantilever-young, bulk ESS: 0.54 for the mixture, 0.05 for HMC;
+- cantilever-section paired by number, bulk ESS: 0.77 for the mixture, 0.05 for HMC;
+- shear-2dof, bulk ESS: 0.59 for the mixture, 0.02 for HMC;
+- shear-10dof, bulk ESS: 0.06 for both, after 20 000 evaluations for the mixture and 35 000 for HMC to converge;
+- densities without known maxima, such as a banana, two modes and a funnel, smaller of bulk and tail ESS: 0.20 to
+  0.75 for the mixture, 0.03 to 0.20 for HMC;
+- four of these densities without gradients: 0.26 to 0.76 for the mixture, 0.05 to 0.14 for Metropolis–Hastings;
+- a Python function of two parameters: 0.35 for the mixture, 0.22 for Metropolis–Hastings.
 """
 
 

@@ -116,7 +116,7 @@ def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[
     import pandas as pd
 
     stats = trace["sample_stats"]
-    # to_numpy(), because pandas skips NaN where a NaN must win.
+    # to_numpy(), because pandas would skip a NaN, which must show.
     ess = float(np.min(table["ess_bulk"].to_numpy()))
     solves, gradients = (
         int(trace.attrs[name]) + int(trace.attrs[f"warmup_{name}"]) for name in ("n_solves", "n_gradients")

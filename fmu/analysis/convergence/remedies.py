@@ -102,8 +102,8 @@ def rhat_excess(table: pd.DataFrame) -> float:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return the number of steps to draw before an insufficient run is judged again.
 
-    The run grows by 80 % of the steps that `growth` still requires or, if few are missing, by all of them plus 1
-    %. It is at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run
+    If few steps are missing according to `growth`, the run grows by all of them plus 1 %, otherwise by 80 % of
+    them. It is at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run
     grows by 5 to 15 %, because R-hat scatters too much for a prediction. In all other cases the run is doubled.
 
     Parameters

@@ -331,9 +331,9 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return theta, log-probability and posterior probability of the other run's best far draw.
+    """Return theta and log-probability of the other run's best draw in a missed region, and its probability.
 
-    Return None if the probability is negligible.
+    The probability is that of the whole region. Return None if it is negligible.
     """
     W = here.metric()
     ndim = here.position.shape[2]

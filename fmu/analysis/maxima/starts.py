@@ -254,7 +254,7 @@ def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n
     rim = model.log_prob - temperature * float(gammaincinv(0.5 * scaled.ndim, NEARBY))
     for _ in range(_HALVINGS):
         log_prob = np.asarray(scaled.log_prob(u))
-        too_low = ~(log_prob >= rim)  # NaN is too low
+        too_low = ~(log_prob >= rim)  # NaN counts as too low
         if not too_low.any():
             break
         u[too_low] = 0.5 * (u[too_low] + model.position)

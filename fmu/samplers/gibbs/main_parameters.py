@@ -186,7 +186,7 @@ class MovesOfMain:
         return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, accepted
 
     def terms_at(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standardised scores."""
+        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standardised test scores."""
         layout = self.conditionals.scores.layout
         terms = self.problem.likelihood.terms(layout.of_model(theta))
         if np.count_nonzero(np.isfinite(terms)) == terms.size:

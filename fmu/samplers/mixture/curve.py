@@ -101,7 +101,7 @@ class Curve:
         """Return the points u whose margins are y; both have shape (n, ndim)."""
         u = y.copy()
         for i in np.flatnonzero(np.isfinite(self.a)):
-            # measured from the nearer wall, where floating-point numbers are denser
+            # measured from the nearer bound, where floating-point numbers are denser
             low = betaincinv(self.a[i], self.b[i], np.exp(log_ndtr(np.minimum(y[:, i], 0.0))))
             high = betaincinv(self.b[i], self.a[i], np.exp(log_ndtr(-np.maximum(y[:, i], 0.0))))
             t = np.clip(np.where(y[:, i] < 0.0, low, 1.0 - high), _TINY, 1.0 - _EPS)

@@ -311,7 +311,7 @@ def _settle_components(
         weight = responsibility * points.weight
         size = _effective_size(weight)
         before = before or [None] * len(weight)
-        spanning = (size > x.shape[1] + 1) | [one is None for one in before]  # else singular covariance
+        spanning = (size > x.shape[1] + 1) | [one is None for one in before]  # otherwise singular
         enough = spanning & (size >= min(needed, 0.5 * size.max()))
         quadratics, shares = list[Quadratic](), list[float]()
         for w, is_enough, one in zip(weight, enough, before, strict=True):

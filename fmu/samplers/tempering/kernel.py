@@ -56,7 +56,7 @@ class TemperingKernel:
         """Draw from the prior, move the replicas at the other rungs, and swap replicas."""
         old, heading, n_steps = replicas_of(state), state.extra["heading"], int(state.extra["n_steps"]) + 1
         rungs = len(self.temperatures)
-        if len(heading) != rungs:  # the ladder has changed: a rung takes the replica of nearest rank
+        if len(heading) != rungs:  # the ladder has changed: a rung takes the replica whose rank is nearest
             nearest = np.round(np.linspace(0, len(heading) - 1, rungs)).astype(np.int64)
             old, heading = old.each(lambda a: a[nearest]), np.zeros((rungs, heading.shape[1]), dtype=np.int64)
         chains = len(state.position)
