@@ -37,8 +37,8 @@ def stiffness_terms(length: ArrayLike) -> dict[str, FloatArray]:
     Returns
     -------
     dict of str to ndarray, shape (n, 12, 12)
-        ``"EA"``, ``"EIy"``, ``"EIz"``, ``"GJ"``: multiply each matrix by the rigidity of that name and add the
-        products.
+        ``"EA"``, ``"EIy"``, ``"EIz"``, ``"GJ"``. The sum of these matrices, each times the rigidity of that name,
+        is the element stiffness.
     """
     L = _lengths(length)
     bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / L[:, None, None]
@@ -112,7 +112,7 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
 
 
 def horizontal(axis: ArrayLike) -> FloatArray:
-    """Return the default direction of the local y axis of elements.
+    """Return the default direction of the elements' local y axis.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def horizontal(axis: ArrayLike) -> FloatArray:
 
 
 def to_global(matrices: FloatArray, axes: FloatArray) -> FloatArray:
-    """Return element matrices rotated from local to global axes, ``Tᵀ K T``.
+    """Rotate element matrices from local to global axes, ``Tᵀ K T``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The parts of a frame: cross-sections, materials and groups of elements; point masses, springs and ties."""
+"""Components of a frame: cross-sections, materials, element groups, point masses, springs and ties."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Section:
     @classmethod
     @check_arguments
     def rectangle(cls, width: Length, height: Length) -> Section:
-        """Return the section of a rectangle, `width` along local y and `height` along local z, in m.
+        """Return a rectangular section, `width` along local y and `height` along local z, in m.
 
         The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b and the shorter side
         t (Timoshenko & Goodier 1970, §109, the series truncated after its leading terms).
@@ -63,7 +63,7 @@ class Section:
     @classmethod
     @check_arguments
     def tube(cls, diameter: Length, thickness: Length) -> Section:
-        """Return the section of a circular tube of outer `diameter` and wall `thickness`, in m.
+        """Return a circular tube section with outer `diameter` and wall `thickness`, in m.
 
         A = π (R² − r²), Iy = Iz = π/4 (R⁴ − r⁴) and J = 2 Iy are exact. A `thickness` of half the diameter gives a
         solid rod.
@@ -82,7 +82,7 @@ class Section:
     @classmethod
     @check_arguments
     def i_section(cls, height: Length, width: Length, web: Length, flange: Length) -> Section:
-        """Return the section of a doubly symmetric I, in m; Iy belongs to bending in the plane of the web.
+        """Return a doubly symmetric I-section, dimensions in m; Iy belongs to bending in the plane of the web.
 
         The overall `height` and the web lie along local z, the flanges of `width` along local y; `web` and
         `flange` are thicknesses. Fillets are neglected. The torsion constant is Σ b t³/3 over the two flanges and
@@ -168,26 +168,26 @@ class ElementGroup:
             raise ArgumentError("elements", "must be pairs of node numbers", f"shape {ends.shape} of {ends.dtype}")
 
     def value(self, name: str) -> float:
-        """Return the initial value, in SI units, of one of `fmu.fem.frame.updates.PROPERTIES`."""
+        """Return the initial value, in SI units, of a property listed in `fmu.fem.frame.updates.PROPERTIES`."""
         return float((vars(self.material) | vars(self.section))[name])
 
 
 @check_arguments
 @dataclass(frozen=True)
 class PointMass:
-    """A mass that acts on the three translations of a node, with rotary inertias about global axes.
+    """A mass that acts on a node's three translations, with rotary inertias about global axes.
 
     Attributes
     ----------
     node : int or str
-        Index of the node; its name until the nodes are numbered, as in problem files.
+        Node index, or the node's name as long as the nodes are not numbered, as in problem files.
     mass : float
         Mass, kg.
     inertia : tuple of float, length 3
         Moments of inertia about global x, y and z, kg·m².
     name : str
-        Name by which a parameter refers to the mass or its inertia; in a problem file, by default, the name of its
-        point.
+        Name by which a parameter refers to the mass or its inertia. Defaults to the point's name in a problem
+        file.
     """
 
     node: Place
@@ -198,7 +198,7 @@ class PointMass:
     """Directions by which an inertia may be named."""
 
     def value(self, direction: str) -> float:
-        """Return the mass or the moment of inertia that resists acceleration in one of `DIRECTIONS`."""
+        """Return the mass (kg) or moment of inertia (kg·m²) that resists acceleration in one of `DIRECTIONS`."""
         return self.inertia[DIRECTIONS.index(direction) - 3] if direction.startswith("r") else self.mass
 
 
@@ -212,7 +212,7 @@ class JointSpring:
     name : str
         Name by which a parameter refers to the stiffness.
     nodes : tuple of int, length 2
-        Indices of the nodes, or their names until the nodes are numbered; None as the second entry stands for the
+        Node indices, or node names as long as the nodes are not numbered; None as the second entry means the
         ground.
     stiffness : mapping of str to float
         Stiffness by direction: N/m for ``"x" "y" "z"``, N·m/rad for ``"rx" "ry" "rz"``. If the two nodes do not
@@ -231,7 +231,7 @@ class JointSpring:
 
     Examples
     --------
-    An elastic clamp of node 0, which no support holds in these directions, and a semi-rigid joint about y:
+    An elastic clamp at node 0, which has no support in these directions, and a semi-rigid joint about y:
 
     >>> clamp = JointSpring("clamp", (0, None), {"x": 1e8, "y": 1e8, "z": 1e8, "rx": 1e5, "ry": 1e5, "rz": 1e5})
     >>> knee = JointSpring("knee", (4, 5), {"ry": 2e5}, tied=("x", "y", "z", "rx", "rz"))
@@ -266,11 +266,11 @@ class JointSpring:
         return tuple(self.stiffness)
 
     def value(self, direction: str) -> float:
-        """Return the stiffness in a direction, N/m or N·m/rad."""
+        """Return the stiffness in a direction, in N/m or N·m/rad."""
         return self.stiffness[direction]
 
     def elongation(self, direction: str, nodes: FloatArray) -> dict[int, float]:
-        """Return the elongation in a direction as a dict of weights of the degrees of freedom 6 · node + 0 … 5.
+        """Return the elongation in a direction as weights on the degrees of freedom 6 · node + 0 … 5.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Line drawings of structures in SVG, without any drawing library."""
+"""Line plots of structures in SVG, without any plotting library."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ROTATIONS = ("rx", "ry", "rz")
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """Lines and symbols that draw a structure.
+    """Lines and symbols that represent a structure in a plot.
 
     Attributes
     ----------
@@ -40,8 +40,8 @@ class Sketch:
         Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``.
     places : ndarray, shape (n_symbols, 3), m
     ends : ndarray, shape (n_symbols, 3)
-        The other end of an arm or a spring, m; the direction of a sensor. NaN for supports, masses, springs to the
-        ground and sensors of rotations.
+        Far end of an arm or a spring, m; direction of a sensor. NaN for supports, masses, springs to the ground
+        and sensors of rotations.
     owners : ndarray of int, shape (n_symbols,)
         Index of the parameter that sets a spring's stiffness; −1 if no parameter does.
     """
@@ -61,7 +61,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     Raises
     ------
     ValueError
-        If the model has neither a geometry nor a line picture.
+        If the model has neither a geometry nor lines for plotting.
     """
     if model.geometry is None and model.picture is not None:
         return _sketch_picture(model.picture, sensors)
@@ -86,14 +86,14 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
 
 
 def is_drawable(model: SeparableModel, most: int) -> bool:
-    """Return True if a model can be drawn with at most `most` lines."""
+    """Return True if a model can be plotted with at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines
     return lines is not None and len(lines) <= most
 
 
 def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
-    """Return the sketch of a line picture: its lines, and the sensors at points of the same name."""
+    """Return the sketch of a `LinePicture`: its lines, and the sensors at points of the same name."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
@@ -104,7 +104,7 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
 
 
 def drawing(model: SeparableModel, sensors: Sequence[Dof] = ()) -> str:
-    """Return the drawing of a structure with its sensors by `draw_svg`; ValueError if there is nothing to draw."""
+    """Plot a structure with its sensors as SVG; see `draw_svg`. Raise ValueError if there is nothing to plot."""
     return draw_svg(sketch(model, sensors))
 
 
@@ -114,7 +114,7 @@ def draw_svg(
     said: str = "",
     spring_colours: Sequence[str] | None = None,
 ) -> str:
-    """Return the SVG drawing of a sketch, with elements and springs in the colours of the parameters.
+    """Plot a sketch as SVG, with elements and springs in the colours of the parameters.
 
     Each element or spring has the colour of the first parameter that changes it. Squares are supports, discs are
     masses, zigzags are springs (rings between coincident nodes) and arrows are sensors.
@@ -123,11 +123,11 @@ def draw_svg(
     ----------
     structure : Sketch
     colours : sequence of str, length n_elements, optional
-        Colours of the elements, instead of those of the parameters.
+        Element colours, instead of the parameters' colours.
     said : str
-        Description of the drawing for readers who cannot see it.
+        Description of the plot for readers who cannot see it.
     spring_colours : sequence of str, length n_parameters, optional
-        Colours of the springs by parameter, instead of the default colours.
+        Spring colours by parameter, instead of the default colours.
 
     Returns
     -------
@@ -170,13 +170,13 @@ def without_sensors(structure: Sketch) -> Sketch:
 
 
 def element_colours(changed: BoolArray) -> list[str]:
-    """Return the list of element colours: the colour of the first parameter that changes each element."""
+    """Return the colour of each element, which is the colour of the first parameter that changes it."""
     first = [int(np.argmax(row)) if row.any() else None for row in changed]
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
 def parameter_colours(structure: Sketch) -> list[str | None]:
-    """Return a list of the colour of the elements or springs that each parameter changes, None without any."""
+    """Return the colour of the elements or springs that each parameter changes, or None if it changes none."""
     colours = element_colours(structure.changed)
     return [
         colours[int(np.argmax(column))]
@@ -192,7 +192,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
     An element with two free ends is changed by a parameter if a term with that parameter couples the ends. An
-    element with a held end is changed if the forces of the term at the other end are not in equilibrium under a
+    element with a fixed end is changed if the forces of the term at the other end are not in equilibrium under a
     rigid translation of the structure. For such an element, mass terms count only for parameters that change no
     stiffness.
 
@@ -243,7 +243,7 @@ def _geometry(model: SeparableModel) -> Geometry:
 
 
 def _view(nodes: FloatArray) -> FloatArray:
-    """Return the axes of the picture, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
+    """Return the axes of the plot, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
     extent = np.ptp(nodes, axis=0)
     is_flat = extent <= _FLAT * extent.max()
     if is_flat[1] or is_flat.sum() == 2:
@@ -256,7 +256,7 @@ def _view(nodes: FloatArray) -> FloatArray:
 
 
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return the function that maps points (n, 2) into the picture, y upwards, so that all `points` fit."""
+    """Return the function that maps points (n, 2) to plot coordinates, y upwards, so that all `points` fit."""
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     room = np.array([WIDTH, _HEIGHT]) - 2.0 * _MARGIN
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
@@ -272,7 +272,7 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 def _find_supports(model: SeparableModel) -> list[int]:
     """Return the rows of element nodes that lack a direction of motion which other nodes have.
 
-    Rotations of another program's mesh do not count, because its nodes may lack rotations without being held.
+    Rotations in another program's mesh do not count, because its nodes may lack rotations without being fixed.
     """
     geometry = _geometry(model)
     free: dict[int, set[str]] = {}
@@ -284,7 +284,7 @@ def _find_supports(model: SeparableModel) -> list[int]:
 
 
 def _lines(ends: FloatArray, colours: Sequence[str]) -> list[str]:
-    """Return the SVG elements of lines (n, 2, 2): one per line, or one path per colour if there are many lines."""
+    """Return SVG elements for lines (n, 2, 2): one per line, or one path per colour if there are many lines."""
     if len(ends) <= _MOST_LINES:
         return [_line(a, b, colour, 4) for (a, b), colour in zip(ends, colours, strict=True)]
     parts: dict[str, list[str]] = {}
@@ -314,7 +314,7 @@ def _dot(at: FloatArray, radius: float, colour: str) -> str:
 
 
 def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
-    """Return the SVG of a spring: a zigzag, with a ground line if b is NaN, or a ring if a and b coincide.
+    """Return a spring as SVG: a zigzag, with a ground line if b is NaN, or a ring if a and b coincide.
 
     A spring whose stiffness is set by a parameter is thicker and has the parameter's colour.
     """
@@ -334,7 +334,7 @@ def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
 
 
 def _arrow(at: FloatArray, direction: FloatArray) -> str:
-    """Return the SVG of a sensor: an arrow in its direction, or a dot if it points at the reader."""
+    """Return a sensor as SVG: an arrow in its direction, or a dot if it points at the reader."""
     along = direction * (1.0, -1.0)
     length = float(np.linalg.norm(along))
     if length < _FLAT:

@@ -1,4 +1,4 @@
-"""Frames of beam elements, from nodes, element groups, supports, masses and springs to a SeparableModel."""
+"""Frames of beam elements: assembles nodes, element groups, supports, masses and springs into a SeparableModel."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Frame:
 
     @check_arguments
     def separable(self, updates: Mapping[str, Sequence[Target] | Factor] | None = None) -> SeparableModel:
-        """Return the model with the assembled matrices K(theta) and M(theta).
+        """Assemble K(theta) and M(theta), and return them as a model.
 
         Parameters
         ----------
@@ -196,13 +196,13 @@ def _assemble(matrices: FloatArray, ends: IntArray, n_nodes: int) -> sp.csr_arra
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """The free degrees of freedom of a frame that has six degrees of freedom per node.
+    """Numbering of the free degrees of freedom in a frame that has six per node.
 
     Attributes
     ----------
     owner : ndarray of int, shape (6 n_nodes,)
-        For each degree of freedom 6 · node + 0 … 5, the index of the degree of freedom that represents it: its own
-        index, or that of the degree of freedom to which it is tied.
+        For each degree of freedom 6 · node + 0 … 5, the index of the degree of freedom that represents it: its
+        own, or the one that it is tied to.
     free : ndarray of int
         Indices of the degrees of freedom that represent themselves and have no support, ascending.
     """
@@ -212,7 +212,7 @@ class Numbering:
 
     @classmethod
     def of(cls, n_nodes: int, supports: Mapping[int, Sequence[str]], springs: Sequence[JointSpring]) -> Numbering:
-        """Return the numbering of a frame with these supports and springs.
+        """Build the numbering for a frame with these supports and springs.
 
         Raises
         ------
@@ -243,17 +243,17 @@ class Numbering:
 
     @property
     def names(self) -> list[Dof]:
-        """List of the free degrees of freedom as (node, direction)."""
+        """Free degrees of freedom as (node, direction)."""
         return [_name(i) for i in self.free.tolist()]
 
     @property
     def ties(self) -> dict[Dof, Dof]:
-        """Dict from each tied degree of freedom to the free degree of freedom that it follows."""
+        """The free degree of freedom that each tied degree of freedom follows."""
         tied = np.flatnonzero((self.owner != np.arange(len(self.owner))) & np.isin(self.owner, self.free))
         return {_name(i): _name(j) for i, j in zip(tied.tolist(), self.owner[tied].tolist(), strict=True)}
 
     def restrict(self, matrix: sp.csr_array) -> sp.csr_array:
-        """Return a matrix (6 n_nodes, 6 n_nodes) reduced to the free degrees of freedom, with tied ones merged."""
+        """Reduce a matrix (6 n_nodes, 6 n_nodes) to the free degrees of freedom, merging tied ones."""
         n = len(self.owner)
         if np.any(self.owner != np.arange(n)):
             T = sp.csr_array((np.ones(n), (np.arange(n), self.owner)), shape=(n, n))

@@ -1,4 +1,4 @@
-"""Stability checks of a structure: its motions without strain, and the mass that these motions move."""
+"""Stability checks for a structure: its strain-free motions, and the mass that they move."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SHOWN = 4
 
 
 class MechanismError(ValueError):
-    """Error raised if a structure can move without strain in more ways than intended."""
+    """Raised when a structure has more strain-free motions than intended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +41,12 @@ class FreeMotions:
     Attributes
     ----------
     shapes : ndarray, shape (n_dof, n)
-        Basis of the motions without strain energy, m and rad.
+        Basis of the strain-free motions, m and rad.
     rigid : ndarray, shape (6, r)
         Rigid-body motions of the whole structure that have no strain energy: translation, m, and rotation, rad,
         about the centre of the nodes. None if the model has no geometry.
     negative : ndarray, shape (n_dof, n_negative)
-        Motions of negative energy, which no real structure has.
+        Motions with negative strain energy, which no real structure has.
     """
 
     shapes: FloatArray
@@ -55,12 +55,12 @@ class FreeMotions:
 
     @property
     def count(self) -> int:
-        """Number of independent motions without strain energy."""
+        """Number of independent strain-free motions."""
         return self.shapes.shape[1]
 
 
 def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
-    """Return the motions without strain at theta (n_parameters,), usually the start.
+    """Return the strain-free motions at theta (n_parameters,), usually the starting point.
 
     The motions are computed block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and
     radians, and stiff and soft parts, count equally.
@@ -83,7 +83,7 @@ def _lowest_motions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the motions of zero and of negative energy of a symmetric matrix, shapes (n_dof, n).
 
-    If the matrix is K at `theta` (n_parameters,), the factors of large blocks are kept for the first solve.
+    If the matrix is K at `theta` (n_parameters,), the factors of large blocks are stored for the first solve.
     """
     zero, negative = ([np.zeros((model.n_dof, 0))] for _ in range(2))
     for dofs in model.blocks:
@@ -108,18 +108,18 @@ def require_stable(
     ----------
     model : SeparableModel
     theta : array_like, shape (n_parameters,)
-        Usually the start.
+        Usually the starting point.
     free : bool
         Whether the structure is meant to be free: then its rigid-body motions (up to six if the geometry is not
         known) are allowed.
     label : callable
-        Returns the name of a node.
+        Returns a node's name.
 
     Raises
     ------
     ValueError
         The message states the number of motions and what moves in them, the motion of negative energy, or the
-        place without mass. `MechanismError` for motions without strain that move mass.
+        place without mass. `MechanismError` for strain-free motions that move mass.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)
@@ -160,7 +160,7 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
 
 
 def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:
-    """Return the motions without strain that move no mass, (n_dof, n)."""
+    """Return the strain-free motions that move no mass, shape (n_dof, n)."""
     if not motions.shape[1]:
         return motions
     _, scale = unit_diagonal(sp.csr_array(model.K(theta)))
@@ -207,7 +207,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
 
 
 def rigid_in_words(rigid: FloatArray) -> list[str]:
-    """Return a list of phrases that describe rigid-body motions (6, r), translations first."""
+    """Return phrases that describe rigid-body motions (6, r), translations first."""
     if not rigid.shape[1]:
         return []
     turn = rigid[3:]
@@ -228,7 +228,7 @@ def what_moves(
     label: Callable[[Any], str] = str,
     rigid: FloatArray | None = None,
 ) -> str:
-    """Return the phrase that names the degrees of freedom that move most, as "a rx, b rx move most".
+    """Return a phrase that names the degrees of freedom that move most, such as "a rx, b rx move most".
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def what_moves(
     shapes : ndarray, shape (n_dof, n)
         A basis of the space of motions.
     label : callable
-        Returns the name of a node.
+        Returns a node's name.
     rigid : ndarray, shape (6, r), optional
         Rigid-body motions to exclude from the space.
     """
@@ -257,10 +257,10 @@ def what_moves(
 
 
 def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
-    """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and at the held directions (_, 6).
+    """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and at the fixed directions (_, 6).
 
     Rotations are about the centre and scaled by the structure's length. Directions in which no node can move are
-    not part of the model. Return None if the model has no geometry or has motions that are weighted sums.
+    not part of the model. Returns None if the model has no geometry or has motions that are weighted sums.
     """
     if model.geometry is None:
         return None
@@ -289,7 +289,7 @@ def _length(model: SeparableModel) -> float:
 
 
 def _sizes(model: SeparableModel) -> FloatArray:
-    """Return scales (n_dof,) that make a rotation as large as the translation it causes at a distance."""
+    """Return scale factors (n_dof,) that make a rotation as large as the translation it causes at a distance."""
     length = _length(model)
     return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
 

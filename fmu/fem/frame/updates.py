@@ -1,4 +1,4 @@
-"""Properties of element groups, point masses and springs that the parameters of a frame change."""
+"""Properties of element groups, point masses and springs that a frame's parameters change."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _KIND = dict.fromkeys(PROPERTIES, "group") | {"mass": "mass", "inertia": "mass",
 @check_arguments
 @dataclass(frozen=True)
 class Factor:
-    """A dimensionless parameter that multiplies the values of its targets in the frame.
+    """A dimensionless parameter that multiplies its targets' values in the frame.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Quantity(NamedTuple):
 
 
 class Owner(NamedTuple):
-    """The parameter (by index) of a quantity, and whether it multiplies the quantity or is its value."""
+    """The parameter (by index) that sets or multiplies a quantity, and which of the two it does."""
 
     parameter: int
     factor: bool
@@ -50,7 +50,7 @@ class Owner(NamedTuple):
 
 @dataclass(frozen=True)
 class Ownership:
-    """Assignment of the quantities of a frame to parameters.
+    """Which parameter sets or multiplies each quantity in a frame.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class Ownership:
     n_parameters: int
 
     def of_spring(self, number: int) -> int | None:
-        """Return the index of the first parameter that sets a stiffness of a spring; None if none does."""
+        """Return the index of the first parameter that sets a spring's stiffness, or None if none does."""
         owners = [
             one.parameter for q, one in self.owner.items() if (q.property, q.number) == ("stiffness", number)
         ]
         return min(owners, default=None)
 
     def coefficient(self, quantities: Iterable[tuple[Quantity, float]]) -> tuple[float, tuple[float, ...]]:
-        """Return the product of quantities, given with their values, as a constant and parameter powers."""
+        """Return the product of quantities, each given with its value, as a constant and parameter powers."""
         scale, powers = 1.0, [0.0] * self.n_parameters
         for quantity, value in quantities:
             owner = self.owner.get(quantity)
@@ -86,7 +86,7 @@ def ownership(
     masses: Sequence[PointMass],
     springs: Sequence[JointSpring],
 ) -> Ownership:
-    """Return the assignment of quantities to parameters; see `fmu.Frame.separable`.
+    """Assign quantities to parameters; see `fmu.Frame.separable`.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Frequency response functions of a structure with damping, their derivatives, and their reduced model."""
+"""Frequency response functions (FRFs) of damped structures, their derivatives, and their reduced model."""

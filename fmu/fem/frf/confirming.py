@@ -1,4 +1,4 @@
-"""Errors of reduced frequency response functions at draws, from a larger basis and the full structure."""
+"""Errors of reduced-model FRFs at posterior draws, found with a larger basis and with the full structure."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _LOSS = 0.02
 
 @dataclass(frozen=True)
 class FRFCertificate:
-    """Errors of the reduced model of the FRFs at posterior draws.
+    """Errors of reduced-model FRFs at posterior draws.
 
     Attributes
     ----------
     draws : int
-        Number of draws at which the FRFs were compared with those on an enlarged basis, at every line.
+        Number of draws at which the FRFs were compared with FRFs on an enlarged basis, at every frequency line.
     shift : float
-        Largest distance that the error of the FRFs moves the posterior, in its standard deviations, to first order
-        and in the direction in which it moves most.
+        Largest distance by which the FRF errors move the posterior, in posterior standard deviations, to first
+        order and in the direction in which it moves most.
     lines : int
         Number of lines at which the full structure was solved directly.
     direct_error : float
         Largest error at these lines, in standard deviations of the data.
     tolerance : float
-        Largest shift and largest error that are allowed.
+        Largest `shift` and `direct_error` allowed.
     """
 
     draws: int
@@ -53,7 +53,10 @@ class FRFCertificate:
 
     @classmethod
     def worst(cls, certificates: Iterable[FRFCertificate]) -> FRFCertificate | None:
-        """Return one certificate for several tests at the same draws, with the largest errors; None for none."""
+        """Combine the certificates of several tests at the same draws, taking the largest errors.
+
+        Returns None if there are no certificates.
+        """
         every = list(certificates)
         if not every:
             return None
@@ -66,19 +69,19 @@ class FRFCertificate:
         return self.shift <= self.tolerance and self.direct_error <= self.tolerance
 
     def attributes(self) -> dict[str, object]:
-        """Return a dict of trace attributes that stores the certificate."""
+        """Return trace attributes that store the certificate."""
         return {f"{_PREFIX}{name}": value for name, value in asdict(self).items()}
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> FRFCertificate | None:
-        """Return the certificate in the attributes of a trace; None if there is none."""
+        """Return the certificate stored in a trace's attributes, or None if there is none."""
         values = {field.name: attrs.get(f"{_PREFIX}{field.name}") for field in fields(cls)}
         if any(value is None for value in values.values()):
             return None
         return cls(**{name: np.asarray(value).item() for name, value in values.items()})
 
     def sentence(self) -> str:
-        """Return a sentence on the errors."""
+        """Return a sentence that states the errors."""
         return (
             f"The reduced model of the FRFs was compared with a larger one at {self.draws} draws: its errors move "
             f"the posterior by at most {significant(self.shift, 2)} of its standard deviations (allowed: "
@@ -88,12 +91,12 @@ class FRFCertificate:
 
 
 def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertificate | None:
-    """Return the errors of reduced FRFs at n parameter vectors; None if the structure is not reduced.
+    """Compute the errors of reduced-model FRFs at n parameter vectors; return None if there is no reduced model.
 
-    The parameters of the structure have the shape (n, p), those of the damping (n, q). With r the errors of all
-    lines in standard deviations and J the derivatives of the FRFs in the same units, the posterior moves by the
-    part of r in the space of J. The direct solves are of (K (1 + iη) − ω² M) x = f with one loss factor, which
-    tests the basis with any kind of damping.
+    The structural parameters have shape (n, p), the damping parameters (n, q). With r the errors at all lines in
+    standard deviations and J the FRF derivatives in the same units, the posterior moves by the part of r in the
+    space of J. The direct solves are of (K (1 + iη) − ω² M) x = f with one loss factor, which tests the basis with
+    any kind of damping.
     """
     if model.block.size == model.full.size:
         return None
@@ -118,7 +121,7 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
 
 
 def _direct_error(model: FRFModel, theta: FloatArray, at: FloatArray) -> float:
-    """Return the largest error, by direct solves, at the lines with the indices `at`, in the lines' units."""
+    """Return the largest FRF error, found by direct solves at the lines with indices `at`, in the lines' units."""
     omega = model.lines.omega[at]
     damped = model.with_damping(Damping(loss=Source(_LOSS)))
     found = damped.at(theta, np.empty((1, 0))).frfs(omega)[0]

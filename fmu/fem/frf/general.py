@@ -1,7 +1,7 @@
-"""Damping that couples the modes: loss factors of parts of the structure, and dashpots.
+"""Damping that couples the modes: loss factors for parts of the structure, and dashpots.
 
 The dynamic stiffness D(ω) = K' + i ω C − ω² M has a complex symmetric K' = Σ_k (1 + i η_k) c_k K_k, with a loss
-factor η_k of each stiffness term, and C = α M + β K + Σ_d c_d C_d. Its inverse on the reduced basis is a sum over
+factor η_k for each stiffness term, and C = α M + β K + Σ_d c_d C_d. Its inverse on the reduced basis is a sum over
 the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0, which is solved as a linear eigenproblem of
 twice the size (Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
 
@@ -33,7 +33,7 @@ class GeneralDamping:
     n_values : int
         Number of damping parameters.
     losses : tuple of Source
-        Loss factor of each stiffness term of the reduced part.
+        Loss factor of each stiffness term in the reduced block.
     dashpots : ndarray, shape (n_dashpots, r, r)
         Projected matrices C_d.
     viscous : tuple of Source
@@ -51,7 +51,7 @@ class GeneralDamping:
 
 
 class GeneralResponses:
-    """Responses of a structure with coupled modes; parameters and methods as in `ModalResponses`."""
+    """FRFs of a structure with coupled modes; parameters and methods as in `ModalResponses`."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class GeneralResponses:
 
     @staticmethod
     def _solve(K: ComplexArray, C: FloatArray, M: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return the poles (2 r,) and vectors (r, 2 r); None if they do not reproduce a direct solve."""
+        """Return the poles (2 r,) and vectors (r, 2 r), or None if they do not reproduce a direct solve."""
         r = len(M)
         if not (np.all(np.isfinite(K)) and np.all(np.isfinite(C)) and np.all(np.isfinite(M))):
             return None
@@ -103,7 +103,7 @@ class GeneralResponses:
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return u of every point, shape (n, n_points, r, n_lines), in the coordinates of the basis."""
+        """Return u for a unit force at each point, in basis coordinates, shape (n, n_points, r, n_lines)."""
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
         for i, solved in enumerate(self._poles):
@@ -123,13 +123,13 @@ class GeneralResponses:
         return found
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, shape (n, n_frfs, n_lines), at the lines ω in rad/s; they are kept for `add`."""
+        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s, and store them for `add`."""
         self._omega, self._u = omega, self.displacements(omega)
         rows = self._points[self._responses]
         return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
 
     def add(self, weights: ComplexArray) -> None:
-        """Add the lines of the last `frfs` to the derivatives of a function L; see `ModalResponses.add`."""
+        """Add the lines of the last `frfs` call to the derivatives of a function L; see `ModalResponses.add`."""
         one = np.ones(len(self._omega), dtype=complex)
         for power, factor in enumerate((one, 1j * self._omega, -(self._omega**2) * one)):
             for f, (j, k) in enumerate(zip(self._responses, self._drives, strict=True)):
@@ -137,7 +137,7 @@ class GeneralResponses:
                 self._sums[power] -= left @ np.swapaxes(self._u[:, k], 1, 2)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L over the structural parameters, (n, p), and over the damping, (n, q)."""
+        """Return the derivatives of L with respect to structural (n, p) and damping (n, q) parameters."""
         damping, (by_K, by_C, by_M) = self.damping, self._sums
         alpha, beta = (source.at(self.values)[:, :, None] for source in (damping.alpha, damping.beta))
         # each stiffness term has its own loss factor
@@ -161,7 +161,7 @@ class GeneralResponses:
         return found, of_damping
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
-        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω; see `ModalResponses.slopes`."""
+        """Return ∂H, shape (n, n_frfs, n_lines, p + q), at lines ω; see `ModalResponses.slopes`."""
         u, damping = self.displacements(omega), self.damping
         n, r = self.K.shape[:2]
         p = self.theta.shape[1]

@@ -1,4 +1,4 @@
-"""The frequency response functions of a structure given by its matrices, on a basis that is accurate in a box."""
+"""FRFs of a structure given by its matrices, computed on a reduced basis that is accurate in a parameter box."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STIFFER = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Damping:
-    """The damping of a structure in terms of its matrices.
+    """A structure's damping, expressed with its matrices.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Damping:
     ratios : tuple of Source
         Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
     losses : dict of int to Source
-        Loss factor of the stiffness that a parameter of the model scales, by the index of the parameter.
+        Loss factor of the stiffness that a model parameter scales, by parameter index.
     dashpots : tuple of (sparse, Source)
         Matrix (n_dof, n_dof) of each dashpot, and its coefficient in N·s/m.
     """
@@ -58,7 +58,7 @@ class Damping:
 
 
 class FRFModel:
-    """Receptances of a structure between points, as functions of its parameters and of its damping.
+    """Receptances of a structure between points, as functions of its parameters and its damping.
 
     Parameters
     ----------
@@ -66,27 +66,28 @@ class FRFModel:
     responses, drives : sequence of (place, direction), length n_frfs
     damping : Damping
     start : ndarray, shape (n_parameters,)
+        Structural parameters before updating.
     lower, upper : ndarray, shape (n_parameters,)
         The box in which the reduced model is trained.
     values : ndarray, shape (n_values,)
-        Damping parameters of the training.
+        Damping parameters used in training.
     lines : Lines
-        Lines at which the responses are needed, and the unit of their errors.
+        Frequency lines at which the FRFs are needed, and the units of their errors.
 
     Attributes
     ----------
     full, block : FullBlock, ReducedBlock
-        The part of the structure in which there are drives and responses, and the same part reduced.
+        The block of the structure that contains the drives and responses, and the same block reduced.
     rows : sparse, shape (n_points, full.size)
         The drives and responses.
     responses, drives : ndarray of int, shape (n_frfs,)
-        The points of each FRF, as rows of `rows`.
+        Points of each FRF, as rows of `rows`.
     of_block : ProportionalDamping or GeneralDamping
         The damping on the basis of `block`.
     points : ndarray, shape (n_points, block.size)
         The drives and responses on the basis.
     error : float
-        Largest error at points that were not used for the basis: the root of the sum of the squared errors of all
+        Largest error at points that were not used for the basis: the root of the sum of squared errors at all
         lines, each in its unit. NaN if the basis has all degrees of freedom.
     is_confirmed : bool
         Whether training ended with errors below the tolerance.
@@ -140,7 +141,7 @@ class FRFModel:
         self.of_block, self.points = self._damping_of(self.block), self._at_points(self.block)
 
     def _train_once(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> TrainedFRFs:
-        """Return the outcome of training, from the cache if it was done before."""
+        """Return the result of training, from the cache if the same basis was trained before."""
         key = self._key(lower, upper, values)
         state = load_basis(key) if key else None
         if state is not None:
@@ -153,7 +154,7 @@ class FRFModel:
         return found
 
     def _key(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> dict[str, str]:
-        """Return the key of the basis in the cache; empty for a structure that is not reduced."""
+        """Return the cache key of the basis; empty for a structure that is not reduced."""
         if self.full.size <= EXACT_LIMIT:
             return {}
         lines, given = self.lines, self.damping
@@ -225,7 +226,7 @@ class FRFModel:
 
 
 class _OfBlock:
-    """The responses of another reduced block of a model, at fixed damping parameters; see `training.Bound`."""
+    """The FRFs of a model on another reduced block, with fixed damping parameters; see `training.Bound`."""
 
     def __init__(self, model: FRFModel, block: ReducedBlock, values: FloatArray) -> None:
         self._model, self._block, self._values = model, block, values
@@ -237,6 +238,9 @@ class _OfBlock:
         return self._model._respond(self._block, self._damping, self.points, theta, values)
 
     def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
-        """Return the smallest of the units (n_frfs, n_lines) of the FRFs of a point, (n_lines,)."""
+        """Return the smallest error unit at each line, (n_lines,), of all FRFs that involve a point.
+
+        `unit` has shape (n_frfs, n_lines).
+        """
         here = (self._model.responses == point) | (self._model.drives == point)
         return np.min(unit[here], axis=0)

@@ -1,4 +1,4 @@
-"""Damping that does not couple the modes of the undamped structure, with responses from one real eigenproblem.
+"""Damping that does not couple the modes of the undamped structure, with FRFs from one real eigenproblem.
 
 With mass-normalised shapes φ_r and eigenvalues λ_r = ω_r², the receptance between the points j and k is
 
@@ -7,8 +7,8 @@ With mass-normalised shapes φ_r and eigenvalues λ_r = ω_r², the receptance b
 with the viscous part c_r = α + β λ_r + 2 ζ_r ω_r (Rayleigh's α and β, modal ratios ζ_r) and the hysteretic part
 h_r = η λ_r (loss factor η of the whole structure); Ewins, *Modal Testing*, 2nd ed. 2000, chapter 2.
 
-Derivatives with respect to K and M need no derivatives of shapes. For symmetric changes dK, dM in the coordinates
-of the modes,
+Derivatives with respect to K and M need no derivatives of shapes. For symmetric changes dK, dM in modal
+coordinates,
 
     dH_jk = Σ_rs φ_jr φ_ks (f_rs dK_rs − (½ (g_r + g_s) + ½ (λ_r + λ_s) f_rs) dM_rs),
 
@@ -56,7 +56,7 @@ ZERO = Source(0.0)
 
 
 class Rates(NamedTuple):
-    """The damping of each mode, and its derivatives with respect to the eigenvalue of the mode.
+    """Damping of each mode, and its derivatives with respect to the mode's eigenvalue.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Rates(NamedTuple):
 
 @dataclass(frozen=True)
 class ProportionalDamping:
-    """The damping c_r = α + β λ_r + 2 ζ_r ω_r and h_r = η λ_r of the modes.
+    """Modal damping c_r = α + β λ_r + 2 ζ_r ω_r and h_r = η λ_r.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class ProportionalDamping:
         return np.concatenate([source.at(values) for source in self.ratios], axis=1)[:, self._ratio_of(r)]
 
     def rates(self, lam: FloatArray, values: FloatArray) -> Rates:
-        """Return the damping of modes with eigenvalues `lam` (n, r) in ascending order, for values (n, q)."""
+        """Return the damping of modes with ascending eigenvalues `lam` (n, r), for damping parameters (n, q)."""
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         beta, loss = self.beta.at(values), self.loss.at(values)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -121,7 +121,10 @@ class ProportionalDamping:
     def pull_back(
         self, lam: FloatArray, values: FloatArray, viscous: FloatArray, hysteretic: FloatArray
     ) -> FloatArray:
-        """Return derivatives with respect to damping parameters, (n, q), given those over c_r and h_r, (n, r)."""
+        """Convert derivatives with respect to c_r and h_r, each (n, r), to damping-parameter derivatives.
+
+        The result has shape (n, q).
+        """
         found = np.zeros(values.shape)
         omega = np.sqrt(np.maximum(lam, 0.0))
         for source, part in (
@@ -175,18 +178,18 @@ class ProportionalDamping:
 
 
 class ModalResponses:
-    """Responses of one part of a structure at n parameter vectors, with their derivatives.
+    """FRFs on one reduced block of a structure at n parameter vectors, with their derivatives.
 
     Parameters
     ----------
     block : ReducedBlock
     damping : ProportionalDamping
     theta, values : ndarray, shape (n, p) and (n, q)
-        The parameters of the structure and of the damping.
+        Structural and damping parameters.
     points : ndarray, shape (n_points, r)
         Rows of the drive and response points.
     responses, drives : ndarray of int, shape (n_frfs,)
-        The points of each response function, as rows of `points`.
+        Points of each FRF, as rows of `points`.
     """
 
     def __init__(
@@ -230,21 +233,21 @@ class ModalResponses:
         return stiff, np.negative(lossy, out=lossy)
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, shape (n, n_frfs, n_lines), at the lines ω in rad/s; they are kept for `add`."""
+        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s, and store them for `add`."""
         self._omega, self._g = omega, self._resonances(omega)
         found = np.empty((*self.amplitudes.shape[:2], len(omega)), dtype=complex)
         found.real, found.imag = (self.amplitudes @ part for part in self._g)
         return found
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return the responses to unit forces at each point, (n, n_points, r, n_lines), on the basis."""
+        """Return the responses to a unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
         x, y = self._resonances(omega)
         return np.asarray(self.phi[:, None] @ (self._seen[..., None] * (x + 1j * y)[:, None]))
 
     def add(self, weights: ComplexArray) -> None:
-        """Add the lines of the last `frfs` to the derivatives of a function L.
+        """Add the lines of the last `frfs` call to the derivatives of a function L.
 
-        The weights w = ∂L/∂Re H − i ∂L/∂Im H have the shape (n, n_frfs, n_lines), so that dL = Re Σ w dH.
+        The weights w = ∂L/∂Re H − i ∂L/∂Im H have shape (n, n_frfs, n_lines), so that dL = Re Σ w dH.
         """
         u, v = np.ascontiguousarray(weights.real), np.ascontiguousarray(weights.imag)
         x, y = self._g
@@ -265,7 +268,7 @@ class ModalResponses:
         return self.damping.differences(self.lam, self.values, self.rates)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L over the structural parameters, (n, p), and over the damping, (n, q)."""
+        """Return the derivatives of L with respect to structural (n, p) and damping (n, q) parameters."""
         T, square, turned, of_viscous = self._sums
         A = self.amplitudes
         viscous = -np.sum(A * of_viscous, axis=1)
@@ -295,12 +298,12 @@ class ModalResponses:
 
     @staticmethod
     def _split(at: FloatArray, to: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_f sym(φ_jr φ_ks) T_fr, (n, r, s), and its transpose Σ_f sym(φ_jr φ_ks) T_fs."""
+        """Return Σ_f sym(φ_jr φ_ks) T_fr over all FRFs f, (n, r, s), and its transpose Σ_f sym(φ_jr φ_ks) T_fs."""
         one = 0.5 * (np.swapaxes(at * T, 1, 2) @ to + np.swapaxes(to * T, 1, 2) @ at)
         return one, np.swapaxes(one, 1, 2)
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
-        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω.
+        """Return ∂H at lines ω in rad/s, shape (n, n_frfs, n_lines, p + q).
 
         The derivatives are with respect to the p structural parameters, and then the q damping parameters.
         """

@@ -1,7 +1,7 @@
-"""Residues and eigenvalues of modes, and their derivatives, for responses with modified frequencies of the modes.
+"""Eigenvalues and residues of modes, with derivatives, for FRFs in which modal frequencies are modified.
 
 With mass-normalised shapes φ_r, the receptance between the points j and k is H_jk = Σ_r A_r g_r with the residues
-A_r = φ_jr φ_kr (`fmu.fem.frf.proportional`). For changes dK, dM in the coordinates of the modes,
+A_r = φ_jr φ_kr (`fmu.fem.frf.proportional`). For changes dK, dM in modal coordinates,
 
     dλ_r = dK_rr − λ_r dM_rr,
     dA_r = Σ_{s≠r} (φ_jr φ_ks + φ_js φ_kr) (dK_rs − λ_r dM_rs)/(λ_r − λ_s) − φ_jr φ_kr dM_rr
@@ -22,7 +22,7 @@ from fmu.types import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Residues:
-    """Eigenvalues and residues of r modes at n parameter vectors, with derivatives over p structural parameters.
+    """Eigenvalues and residues of r modes at n parameter vectors, with derivatives for p structural parameters.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Residues:
 
     @classmethod
     def of(cls, model: FRFModel, theta: FloatArray) -> Residues:
-        """Return the modes of a model for structural parameters (n, p)."""
+        """Compute a model's eigenvalues and residues for structural parameters (n, p)."""
         lam, phi = model.block.modes(theta, model.block.size)
         dK, dM = model.block.changes(theta, phi)
         seen = model.points @ phi
@@ -58,7 +58,7 @@ class Residues:
 
 @dataclass(frozen=True, eq=False)
 class Resonances:
-    """The factors g_r(ω) of n × r modes at L lines, and their derivatives.
+    """Resonance factors g_r(ω) of n × r modes at L lines, and their derivatives.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Resonances:
     def of(
         cls, damping: ProportionalDamping, lam: FloatArray, values: FloatArray, omega: FloatArray
     ) -> Resonances:
-        """Return the factors for eigenvalues (n, r), damping parameters (n, q) and lines (L,) in rad/s."""
+        """Compute the factors for eigenvalues (n, r), damping parameters (n, q) and lines (L,) in rad/s."""
         rates = damping.rates(lam, values)
         lossy = rates.viscous[..., None] * omega + rates.hysteretic[..., None]
         g = 1.0 / (lam[..., None] - omega**2 + 1j * lossy)

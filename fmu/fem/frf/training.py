@@ -1,9 +1,9 @@
-"""Training of a basis for frequency response functions: modes and responses at points of the parameters' box.
+"""Training of a basis for FRFs, with modes and responses at points in the parameter box.
 
-The basis contains the modes of the band, and the undamped responses to unit forces at all points, at some
-frequencies of the band. These responses contain the contribution of all higher modes, so that no residual term is
-missing. Because the basis has the responses to forces at both the drives and the response points, the error of a
-response function is a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
+The basis contains the modes in the frequency band, and the undamped responses to unit forces at all points, at
+some frequencies in the band. These responses contain the contribution of all higher modes, so that no residual
+term is missing. Because the basis has the responses to forces at both the drives and the response points, the
+error of an FRF is a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
 Partial Differential Equations*, chapter 3).
 """
 
@@ -45,10 +45,10 @@ _DEPENDENT = 1e-10
 
 
 class Solved(Protocol):
-    """The responses of a reduced block at n parameter vectors."""
+    """Responses of a reduced block at n parameter vectors."""
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, (n, n_frfs, n_lines)."""
+        """Return the receptances at lines ω in rad/s, shape (n, n_frfs, n_lines)."""
         ...
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
@@ -57,39 +57,42 @@ class Solved(Protocol):
 
 
 class Bound(Protocol):
-    """The responses of a reduced block as a function of the parameters of the structure."""
+    """Responses of a reduced block as a function of the structural parameters."""
 
     def at(self, theta: FloatArray) -> Solved:
         """Return the responses at theta (n, n_parameters)."""
         ...
 
     def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
-        """Return the smallest of the units (n_frfs, n_lines) of the FRFs of a point, (n_lines,)."""
+        """Return the smallest error unit at each line, (n_lines,), of all FRFs that involve a point.
+
+        `unit` has shape (n_frfs, n_lines).
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Lines at which response functions are needed.
+    """Frequency lines at which FRFs are needed.
 
     Attributes
     ----------
     omega : ndarray, shape (n_lines,), rad/s
     unit : ndarray, shape (n_frfs, n_lines)
-        Unit of the errors of the receptances, such as their standard deviation; infinite where a line is not used.
+        Unit in which receptance errors are measured, such as their standard deviation; infinite for unused lines.
     """
 
     omega: FloatArray
     unit: FloatArray
 
     def error(self, one: ComplexArray, other: ComplexArray) -> FloatArray:
-        """Return the root of the sum of the squared differences of all lines in their units, shape (n,)."""
+        """Return the root of the summed squared differences over all FRFs and lines in their units, shape (n,)."""
         return np.asarray(np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2))))
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedFRFs:
-    """The outcome of training; see `fmu.fem.frf.model.FRFModel` for the attributes."""
+    """Result of training; see `fmu.fem.frf.model.FRFModel` for the attributes."""
 
     block: ReducedBlock
     error: float
@@ -106,7 +109,7 @@ def train(
     bind: Callable[[ReducedBlock], Bound],
     tolerance: float = TOLERANCE,
 ) -> TrainedFRFs:
-    """Return a reduced block whose response functions are accurate in a box.
+    """Train a reduced block whose FRFs are accurate in a parameter box.
 
     Parameters
     ----------
@@ -116,15 +119,14 @@ def train(
     lower, upper : ndarray, shape (n_parameters,)
     lines : Lines
     bind : callable
-        Returns the responses of a reduced block as a function.
+        Returns the responses of a reduced block as a function of theta.
     tolerance : float
 
     Notes
     -----
-    At each point, the receptances on the basis are compared with the receptances on the basis enlarged by the
-    modes and responses of that point. Training ends when `_PASSES` points in succession agree, or after
-    `_MOST_POINTS`. The basis is then truncated to as few leading directions as the errors at these and further
-    points allow.
+    At each point, the receptances on the basis are compared with receptances on the basis enlarged by the modes
+    and responses of that point. Training ends when `_PASSES` points in succession agree, or after `_MOST_POINTS`.
+    The basis is then truncated to as few leading directions as the errors at these and further points allow.
     """
     centre = 0.5 * (lower + upper)
     if full.size <= EXACT_LIMIT:
@@ -155,7 +157,7 @@ def train(
 def enlarge(
     full: FullBlock, rows: sp.csr_array, block: ReducedBlock, theta: FloatArray, lines: Lines
 ) -> ReducedBlock:
-    """Return a reduced block whose basis also has the modes and the responses at theta (n_parameters,)."""
+    """Return a reduced block whose basis also has the modes and responses at theta (n_parameters,)."""
     A, V = _energy(full, theta, lines), block.basis
     V = V / np.sqrt(np.sum(V * (A @ V), axis=0))
     V = np.linalg.solve(np.linalg.cholesky(V.T @ (A @ V)), V.T).T
@@ -168,13 +170,13 @@ def _reduce(full: FullBlock, V: FloatArray, centre: FloatArray) -> ReducedBlock:
 
 
 def _energy(full: FullBlock, centre: FloatArray, lines: Lines) -> sp.csr_array:
-    """Return K + s M at the centre of the box, with an s that is small in the band and makes it definite."""
+    """Return K + s M at the centre of the box, with a shift s that is small in the band and makes it definite."""
     K, M = sum_at(full.K_terms, centre), sum_at(full.M_terms, centre)
     return sp.csr_array(K + (_SOFT * float(np.min(lines.omega)) ** 2) * M)
 
 
 def _snapshots(full: FullBlock, rows: sp.csr_array, theta: FloatArray, lines: Lines) -> FloatArray:
-    """Return modes of the band and undamped responses at theta (n_parameters,), shape (size, m)."""
+    """Return modes in the band and undamped responses at theta (n_parameters,), shape (size, m)."""
     top, low = float(np.max(lines.omega)), float(np.min(lines.omega))
     count = 8
     while True:
@@ -206,8 +208,7 @@ def _truncate(
     """Return the block on the fewest directions with errors within the tolerance at the points.
 
     The directions come from a proper orthogonal decomposition of the responses at the points, in the energy A. The
-    weights are square roots of the units of the errors, because an error of a response function is a product of
-    the errors of two responses.
+    weights are square roots of the error units, because an FRF error is a product of two response errors.
     """
     basis = whole.basis
     L = np.linalg.cholesky(basis.T @ (A @ basis))

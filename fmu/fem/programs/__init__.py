@@ -1,6 +1,6 @@
 """Models that are solved by a Python function, by an external program or by OpenSees.
 
-The three are callables with one interface: `solves` calls them and keeps their results.
+All three are callables with the same interface: `solves` calls them and stores their results.
 Reading order: answers (the results of a callable), store (solves on disk), solves (each theta is solved once),
 sources (the source files of a function), found_frequencies, program_run, command, followers, opensees.
 """

@@ -1,4 +1,4 @@
-"""Validation of the results of a user's function, as `fmu.fem.black_box` describes them: conversion to arrays."""
+"""Validates the results of a user's function (see `fmu.fem.black_box`), and converts them to arrays."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PARTS = ("frequencies", "shapes", "gradient")
 
 
 class Answer(NamedTuple):
-    """Frequencies (m,) in Hz at one theta; shapes (n_sensors, m) and gradient (m, ndim), or None for either."""
+    """Frequencies (m,) in Hz at one theta, shapes (n_sensors, m) or None, and gradient (m, ndim) or None."""
 
     frequencies: FloatArray
     shapes: FloatArray | None = None
@@ -26,19 +26,19 @@ class Answer(NamedTuple):
 
 
 class AnswerError(ValueError):
-    """The error for a result of the function that has the wrong type or shape."""
+    """Raised when the function's result has the wrong type or shape."""
 
 
 def read_answers(given: object, n_parameters: int, n_points: int | None = None) -> list[Answer]:
-    """Return the result of a function as a list of answers, one per point.
+    """Convert a function's result to a list of answers, one per point.
 
     Parameters
     ----------
     given : array_like, mapping or tuple
-        The result of the function; see `fmu.fem.black_box`.
+        The function's result; see `fmu.fem.black_box`.
     n_parameters : int
     n_points : int, optional
-        Number of points of a batched function. If not given, there is one point and no leading axis.
+        Number of points passed to a batched function. If not given, there is one point and no leading axis.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
 
 
 def _parts(given: object) -> list[Any]:
-    """Return a list of frequencies, shapes and gradient, with None for a missing array."""
+    """Return the frequencies, shapes and gradient as a list, with None for a missing array."""
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in _PARTS]
         if unknown or "frequencies" not in given:

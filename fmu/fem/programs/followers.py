@@ -25,9 +25,9 @@ _TAG = 987_654_321
 def follower_motions(
     ops: ModuleType, directions: Mapping[int, Sequence[str]], dofs: Collection[DofName], step: float
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the displacements of followers as weighted sums of the degrees of freedom that they follow.
+    """Return each follower's displacement as a weighted sum of the degrees of freedom that it follows.
 
-    OpenSees does not print C of u_follower = C u_retained. C is therefore fitted by least squares to displacements
+    OpenSees does not print C in u_follower = C u_retained. C is therefore fitted by least squares to displacements
     under random loads: the handler Transformation imposes the constraint to rounding. The loads act during a step
     of Newmark's method, whose matrix K + 4 M/Δt² is regular for free structures too.
 
@@ -47,7 +47,7 @@ def follower_motions(
     motions : dict of (node, direction) to dict of (node, direction) to float
         For each follower, the weights of the free degrees of freedom. Followers that do not move are omitted.
     notes : list of str
-        One sentence with the followers that are not such sums, at which no sensor can be; none if all are.
+        One sentence that lists the followers without an exact sum, at which no sensor can be; empty if none.
     """
     retained = {
         node: sorted(set(ops.getRetainedNodes(node))) for node in sorted(set(ops.getConstrainedNodes() or []))
@@ -75,7 +75,7 @@ def follower_motions(
 
 
 def begin_analysis(ops: ModuleType, constraints: str, integrator: str, *parameters: float) -> None:
-    """Set up an analysis of a linear model with dense matrices; it replaces the current analysis of OpenSees."""
+    """Set up an analysis of a linear model with dense matrices, replacing the current OpenSees analysis."""
     ops.wipeAnalysis()
     ops.constraints(constraints)
     ops.numberer("Plain")
@@ -86,7 +86,7 @@ def begin_analysis(ops: ModuleType, constraints: str, integrator: str, *paramete
 
 
 def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
-    """Return the least-squares solution w (m,) of u (n, m) w = own (n,); None if the residual is not negligible.
+    """Solve u (n, m) w = own (n,) for w (m,) by least squares; return None if the residual is not negligible.
 
     Weights that contribute only rounding are set to zero.
     """
@@ -103,7 +103,7 @@ def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
 def _displacements(
     ops: ModuleType, directions: Mapping[int, Sequence[str]], n_loads: int, step: float
 ) -> dict[DofName, FloatArray]:
-    """Return a dict of the displacements (n_loads,) of each degree of freedom, fixed or free, by random loads."""
+    """Return the displacement (n_loads,) of each degree of freedom, fixed or free, under random loads."""
     rng = np.random.default_rng(0)
     begin_analysis(ops, "Transformation", "Newmark", 0.5, 0.25)
     ops.timeSeries("Constant", _TAG)

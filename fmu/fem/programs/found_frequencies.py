@@ -1,4 +1,4 @@
-"""Extraction of frequencies from a program's text file by a regular expression."""
+"""Extraction of frequencies from a program's text file with a regular expression."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WORD = re.compile(r"\{(\w+)\}")
 
 
 def wrong_words(key: str, text: str) -> list[ArgumentError]:
-    """Return a list of errors, one for each unknown placeholder in a text that was given as the argument `key`."""
+    """Return an error for each unknown placeholder in a text that was given as the argument `key`."""
     rule = "may have {job} and {deck} in braces"
     return [ArgumentError(key, rule, f"{{{w}}}") for w in _WORD.findall(text) if w not in ("job", "deck")]
 
@@ -30,13 +30,13 @@ def wrong_words(key: str, text: str) -> list[ArgumentError]:
 @check_arguments
 @dataclass(frozen=True)
 class FoundFrequencies:
-    r"""Frequencies in a text file, as numbers that a regular expression finds.
+    """Frequencies in a text file, found as numbers by a regular expression.
 
     Attributes
     ----------
     file : str
-        In the folder of the run; ``{job}`` and ``{deck}`` stand for the deck's name, without and with its suffix.
-        ``output.txt`` contains the printed output of the program.
+        File in the run's folder; ``{job}`` and ``{deck}`` stand for the deck's name, without and with its suffix.
+        ``output.txt`` contains the program's printed output.
     pattern : str
         Regular expression with one group, the frequency in Hz; ``^`` and ``$`` match at every line.
 
@@ -76,7 +76,7 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return the list of matches, found in a process that can be killed: some patterns never terminate."""
+        """Return all matches, found in a process that can be killed, because some patterns never terminate."""
         command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
         try:
             done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)

@@ -1,10 +1,10 @@
-"""Models that a Python function builds in OpenSees, by openseespy: ``pip install 'fmu[opensees]'``.
+"""Models that a Python function builds in OpenSees, using openseespy: ``pip install 'fmu[opensees]'``.
 
-``build(theta)`` makes nodes, supports, elements and masses with openseespy, from ``model(…)`` on; it defines no
+``build(theta)`` creates nodes, supports, elements and masses with openseespy, from ``model(…)`` on; it defines no
 analysis. OpenSees holds one model per process: a model that already exists there is wiped.
 
 Stiffness and mass are the tangent matrices at rest. The integrator GimmeMCK assembles a M + b C + c K, and the
-solver FullGeneral keeps this matrix dense:
+solver FullGeneral stores this matrix densely:
 https://portwooddigital.com/2020/05/17/gimme-all-your-damping-all-your-mass-and-stiffness-too/
 """
 
@@ -68,7 +68,7 @@ _ASYMMETRIC = 1e-10
 
 
 def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
-    """Return stiffness, mass and mesh of the model that OpenSees has after ``build(theta)``.
+    """Export the stiffness, mass and mesh of the model that ``build(theta)`` creates in OpenSees.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     Returns
     -------
     ExportedModel
-        The model of the degrees of freedom that are neither fixed nor constrained to others. The displacements of
+        The model on the degrees of freedom that are neither fixed nor constrained to others. The displacements of
         constrained degrees of freedom are weighted sums of these.
 
     Raises
@@ -147,17 +147,18 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
 def from_opensees(
     build: Build, names: Sequence[str], start: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> SeparableModel:
-    """Return a model with K(θ) and M(θ), fitted to the matrices of OpenSees at several θ; see `fmu.from_exports`.
+    """Fit K(θ) and M(θ) to OpenSees matrices at several θ, and return the model; see `fmu.from_exports`.
 
     Parameters
     ----------
     build : callable
         See `fmu.fem.programs.opensees`.
     names : sequence of str
-        Names of the parameters, in the order of theta.
+        Parameter names, in the order of theta.
     start, lower, upper : array_like, shape (n_parameters,)
-        The starting point and the bounds. Matrices are assembled at the start, at points where one parameter
-        varies, and at points where all vary. Bounds that are not finite are replaced by half and twice the start.
+        The starting point and the bounds. Matrices are assembled at the starting point, at points where one
+        parameter varies, and at points where all vary. Bounds that are not finite are replaced by half and twice
+        the starting value.
 
     Returns
     -------
@@ -200,9 +201,9 @@ class OpenSeesModel(BlackBoxModel):
     build : callable
         See `fmu.fem.programs.opensees`.
     start : array_like, shape (n_parameters,)
-        The theta at which the model is built once to obtain its degrees of freedom.
+        Parameters at which the model is built once to obtain its degrees of freedom.
     modes : int
-        Number of modes that are computed.
+        Number of modes to compute.
     step, store
         See `BlackBoxModel`.
 
@@ -242,7 +243,7 @@ class OpenSeesModel(BlackBoxModel):
         return ModesInOpenSees(self.build, self.modes, self.sensors)
 
     def configuration(self) -> dict[str, object]:
-        """Return a dict of the data that identify the model, such as a hash of the source of `build`."""
+        """Return data that identify the model, such as a hash of the source of `build`."""
         own = {"modes": self.modes, "sha256": self.sha256}
         return {"function": self.name, "batched": False, "step": self.step, **own}
 
@@ -254,7 +255,7 @@ class OpenSeesModel(BlackBoxModel):
 
 @dataclass(frozen=True)
 class ModesInOpenSees:
-    """The function that returns the modes at theta (n_parameters,) of a model that OpenSees assembles.
+    """Function that returns the modes of an OpenSees model at theta (n_parameters,).
 
     Attributes
     ----------
@@ -262,7 +263,7 @@ class ModesInOpenSees:
     modes : int
         Number of modes.
     sensors : tuple of (node, direction)
-        The sensors at which shapes are given.
+        Sensors at which shapes are given.
     """
 
     build: Build
@@ -270,7 +271,7 @@ class ModesInOpenSees:
     sensors: tuple[Dof, ...] = ()
 
     def __call__(self, theta: FloatArray) -> dict[str, object]:
-        """Return a dict of frequencies in Hz, shape (m,), and shapes at the sensors; None without sensors."""
+        """Return a dict of frequencies in Hz, shape (m,), and shapes at the sensors (None without sensors)."""
         model = export_matrices(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
@@ -279,7 +280,7 @@ class ModesInOpenSees:
 
 
 def _fixed_model(model: ExportedModel) -> SeparableModel:
-    """Return the exported model of one theta as a model without parameters."""
+    """Convert the model exported at one theta to a model without parameters."""
     return SeparableModel([Term(model.stiffness, ())], [Term(model.mass, ())], model.dofs, motions=model.motions)
 
 
@@ -317,7 +318,7 @@ def _openseespy() -> ModuleType:
 
 
 def _followers(ops: ModuleType) -> dict[int, list[int]]:
-    """Return a dict from each constrained node to its degrees of freedom (from 1) that follow other nodes.
+    """Return the degrees of freedom (numbered from 1) that follow other nodes, by constrained node.
 
     Raises ArgumentError if no degree of freedom is free, which would crash OpenSees.
     """
@@ -330,10 +331,10 @@ def _followers(ops: ModuleType) -> dict[int, list[int]]:
 
 
 def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
-    """Assemble the model and return a dict from each node to the equation numbers of its degrees of freedom.
+    """Assemble the model, and return the equation numbers of each node's degrees of freedom.
 
     Numbers of fixed degrees of freedom are negative. For nodes that follow others, which need the handler
-    Transformation, the equations of the followed nodes come after those of the node itself.
+    Transformation, the equations of the followed nodes come after the node's own equations.
     """
     begin_analysis(ops, "Transformation" if follows else "Plain", "GimmeMCK", 0.0, 0.0, 1.0)
     ops.analyze(1, 0.0)
@@ -343,7 +344,10 @@ def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
 
 
 def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.csr_array:
-    """Return a sparse matrix of the model, (n, n); ArgumentError if it is zero, not finite or not symmetric."""
+    """Return a sparse matrix of the model, shape (n, n).
+
+    Raises ArgumentError if it is zero, not finite or not symmetric.
+    """
     ops.integrator("GimmeMCK", *factors)
     ops.analyze(1, 0.0)
     entries = np.array(ops.printA("-ret") or [], dtype=float)
@@ -361,7 +365,10 @@ def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.
 
 
 def _points(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, list[bool]]:
-    """Return the points where matrices are assembled, (n, n_parameters), start first, and which are checks."""
+    """Return the points at which to assemble matrices, (n, n_parameters), and whether each is for checking.
+
+    The starting point comes first.
+    """
     ends = np.sort([0.5 * start, 2.0 * start], axis=0)
     low, high = (
         np.where(np.isfinite(given), given, other) for given, other in zip((lower, upper), ends, strict=True)

@@ -1,4 +1,4 @@
-"""One run of a program in its own folder: fill the deck, start the program and read its results."""
+"""One run of a program in its own folder: fill in the deck, start the program and read its results."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ MOST_KEPT = 20
 
 @dataclass(frozen=True)
 class ProgramRun:
-    """The function that runs a program at one theta (n_parameters,) and returns frequencies and shapes.
+    """Function that runs a program at one theta (n_parameters,) and returns frequencies and shapes.
 
     Attributes
     ----------
     run : DeckRun
         The deck and the program.
     names : tuple of str
-        Names of the parameters in the order of theta.
+        Parameter names in the order of theta.
     found, reader, result, keep
-        See `fmu.CommandModel`; `found` is its `frequencies`.
+        See `fmu.CommandModel`, where `found` is called `frequencies`.
     sensors : tuple of (place, direction)
-        The sensors at which shapes are read.
+        Sensors at which shapes are read.
     store : SolveStore
         The store whose folder contains the folders of current and of failed runs.
     """
@@ -49,7 +49,7 @@ class ProgramRun:
     store: SolveStore
 
     def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
-        """Return a dict of frequencies in Hz and shapes, None without a reader; AnswerError if the run fails."""
+        """Return frequencies in Hz, and shapes or None if there is no reader. Raise AnswerError on failure."""
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)
         why = self.run.execute(dict(zip(self.names, theta.tolist(), strict=True)), folder)
@@ -71,7 +71,7 @@ class ProgramRun:
         return TOO_LONG in solve.reason and solve.seconds < self.run.timeout
 
     def _read(self, folder: Path) -> tuple[FloatArray, FloatArray | None]:
-        """Return the frequencies and the shapes, or None, that a run has written; ValueError if not all finite."""
+        """Read the frequencies and the shapes (or None) from a run. Raise ValueError unless all are finite."""
         shapes = None
         if self.found is not None:
             frequencies = self.found.read(folder / self.run.name(self.found.file), self.run.timeout)
@@ -85,7 +85,7 @@ class ProgramRun:
         return frequencies, shapes
 
     def _keep_files(self, reason: str, folder: Path, failed: Path) -> str:
-        """Keep the files of a failed run, unless many are kept already; return the reason with their folder."""
+        """Keep a failed run's files unless many are kept already; return the reason with their folder."""
         kept = sum(path.is_dir() for path in failed.parent.glob("*"))
         if kept >= MOST_KEPT and not self.keep:
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The solves of a callable, in memory and optionally on disk: result or failure at each theta, and its time.
+"""Solves of a callable, in memory and optionally on disk: the result or failure at each theta, and its time.
 
 The callable is a Python function, a run of a program or a model in OpenSees. `Solves` calls it once per theta; no
 other class handles batches, retries, workers and files.
@@ -40,33 +40,34 @@ class Failure(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class Solves:
-    """The solves of one callable: each is found in memory, read from a store, or made by calling the callable.
+    """Solves of one callable: each is taken from memory, read from a store, or made by calling the callable.
 
     A pickled copy, such as one in another process, has no solves in memory.
 
     Parameters
     ----------
     call : callable
-        ``call(theta)`` returns what `fmu.fem.black_box` describes, or raises.
+        ``call(theta)`` returns a result as `fmu.fem.black_box` describes, or raises.
     n_parameters : int
     batched : bool
         Whether `call` takes theta of shape (n_points, n_parameters).
     store : SolveStore, optional
-        The store of solves that took `least_s` or longer per point. If two processes need the same points, only
-        one calls. Batches that share only some points may solve these twice; a lock for each point would need as
-        many open files.
+        Store for solves that took `least_s` or longer per point. If two processes need the same points, only one
+        of them calls. Batches that share only some points may solve these twice; a lock for each point would need
+        as many open files.
     least_s : float
-        Seconds per point from which a solve is stored.
+        Shortest time per point, in seconds, for which a solve is stored.
     retries : int
         How often a failed call is repeated.
     loading_s : float
-        If the first call takes less, in seconds, it may have spent most of the time on imports: another is timed.
+        If the first call takes less time than this, in seconds, it may consist mostly of imports: another is
+        timed.
     lasting : type
         Exceptions, besides AnswerError, that would occur again in a repeated call. Only these failures are stored.
     is_outdated : callable, optional
         ``is_outdated(solve)`` returns True if a stored solve must be made again.
     most_bytes : int
-        Largest memory of the solves; beyond it the oldest solves are removed.
+        Memory limit for the solves; beyond it the oldest solves are removed.
 
     Attributes
     ----------
@@ -98,7 +99,7 @@ class Solves:
         return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}
 
     def of(self, theta: FloatArray) -> list[Solve]:
-        """Return the list of the n solves at points theta (n, n_parameters); equal points share a solve."""
+        """Return the solves at points theta (n, n_parameters), in order; equal points share a solve."""
         keys = [point.tobytes() for point in theta]
         found = {key: self._known[key] for key in keys if key in self._known}
         missing = {key: i for i, key in enumerate(keys) if key not in found}
@@ -110,11 +111,11 @@ class Solves:
         return [found[key] for key in keys]
 
     def recall(self, theta: FloatArray) -> Solve | None:
-        """Return the solve in memory at theta (n_parameters,), or None; the callable is not called."""
+        """Return the solve in memory at theta (n_parameters,), or None, without calling the callable."""
         return self._known.get(theta.tobytes())
 
     def at_start(self, theta: FloatArray) -> Solve:
-        """Return the solve at theta (n_parameters,), the start of a problem, which shows whether solves are valid.
+        """Return the solve at a problem's starting point theta (n_parameters,), checking that solves are valid.
 
         With a store the callable is called there once per process, even if a solve is stored. The stored solve is
         returned, so that a resumed run gives the same draws; a stored failure is removed. Without a store the
@@ -152,7 +153,7 @@ class Solves:
         return self._remember(solve)
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return the time of a call at theta (n_parameters,), in seconds, even if the call fails."""
+        """Return how long a call at theta (n_parameters,) takes in seconds, even if it fails."""
         solve = self.recall(theta) or self.of(theta[None])[0]
         if theta.tobytes() == self._first and solve.seconds < self.loading_s:
             self._first = b""
@@ -168,7 +169,7 @@ class Solves:
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
-        """Within a with block, solve at several theta in parallel, in the workers of an engine.
+        """In a ``with`` block, solve at several theta in parallel in an engine's workers.
 
         The solves and their order are the same as without an engine. A theta that crashes its process three times
         counts as failed. A batched callable receives all theta in one call in the calling process.
@@ -180,16 +181,16 @@ class Solves:
             self._engine = before
 
     def make(self, theta: FloatArray) -> Solve:
-        """Return the solve at theta (n_parameters,), from the store or by a call, without keeping it in memory."""
+        """Return the solve at theta (n_parameters,), from the store or by a call, without storing it in memory."""
         return self._look_up_or_call(theta[None])[0]
 
     def repeat(self, theta: FloatArray) -> Solve:
-        """Return the solve of a new call at theta (n_parameters,); it is neither stored nor kept in memory."""
+        """Call the callable again at theta (n_parameters,), and return the solve without storing it anywhere."""
         with self._lock(theta[None]):
             return self._call_at(theta[None], keep=False)[0]
 
     def _make_all(self, theta: FloatArray) -> Iterator[Solve]:
-        """Yield the solves at points (n, n_parameters), made in one call, by the engine or one after the other."""
+        """Yield the solves at points (n, n_parameters), made in one batch, by the engine or one by one."""
         if self.batched and len(theta) > 1:
             together = self._look_up_or_call(theta)
             if together:
@@ -219,7 +220,7 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up_or_call(self, theta: FloatArray) -> list[Solve]:
-        """Return the list of solves at points (n, n_parameters), with one call for those that are not stored.
+        """Return the solves at points (n, n_parameters), making one call for all points that are not stored.
 
         The list is empty if that call fails for several points.
         """
@@ -237,7 +238,7 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up(self, theta: FloatArray) -> dict[int, Solve]:
-        """Return a dict from the index of each stored point to its solve, for points (n, n_parameters)."""
+        """Return the stored solves among points (n, n_parameters), by point index."""
         if self.store is None or not self._keeps:
             return {}
         found = {i: solve for i, point in enumerate(theta) if (solve := self.store.find(point)) is not None}
@@ -247,7 +248,7 @@ class Solves:
 
     @contextmanager
     def _lock(self, theta: FloatArray) -> Iterator[None]:
-        """Within a with block, keep other processes from solving the same points (n, n_parameters)."""
+        """In a ``with`` block, keep other processes from solving the same points (n, n_parameters)."""
         with ExitStack() as stack:
             if self.store is not None and self._keeps:
                 try:
@@ -259,7 +260,7 @@ class Solves:
     def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
         """Call at points (n, n_parameters), n = 1 unless the callable is batched; return and store the solves.
 
-        The list is empty if the call fails for several points, as the point at fault is then not known.
+        The list is empty if the call fails for several points, because the point at fault is then unknown.
         """
         if self._first is None:
             self._first = theta[0].tobytes()
@@ -309,7 +310,7 @@ class Solves:
         warnings.warn(f"store: solves cannot be kept in {where} ({error})", stacklevel=2)
 
     def _remember(self, solve: Solve) -> Solve:
-        """Keep a solve in memory, in place of an earlier one at its theta; the oldest are removed to make room."""
+        """Store a solve in memory, replacing any earlier one at its theta; remove the oldest to make room."""
         if len(solve.reason) > _LONGEST:
             solve = solve._replace(reason=_shorten(solve.reason))
         key = solve.theta.tobytes()

@@ -1,4 +1,4 @@
-"""The source files of a user's function: its own file, and the user's own modules that it imports.
+"""Source files of a user's function: its own file, and the user's own modules that it imports.
 
 All import statements in these files are parsed, and no code is run. The result is therefore the same in every
 process, and does not depend on imports that happen during a call. The user's own modules are the modules of the
@@ -26,7 +26,7 @@ _LIBRARIES = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), st
 
 
 def source_digest(function: Callable[..., object]) -> str:
-    """Return a hash of the source file of a function and of the user's own modules that it imports.
+    """Return a hash of a function's source file and of the user's own modules that it imports.
 
     The hash is an empty string if the function has no source file, as in a notebook.
     """
@@ -56,7 +56,7 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
     Returns
     -------
     dict of str to Path
-        The file of each module, by the module's full name. The given module is not included.
+        File of each module, by full module name. The given module is not included.
     """
     path, parts = file.parent if file.stem == "__init__" else file.with_suffix(""), name.split(".")
     if path.parts[-len(parts) :] != tuple(parts):
@@ -98,7 +98,7 @@ def _imports(file: Path, module: str) -> Iterator[str]:
 
 
 def _locate_source(name: str, root: Path) -> list[tuple[str, Path]]:
-    """Return pairs of full name and source file of the packages that contain a module, and of the module itself.
+    """Return the full name and source file of a module and of each package that contains it.
 
     They are searched for in the folder `root`, from which the function was imported, then on the path. Names
     without a source file are skipped.

@@ -1,4 +1,4 @@
-"""Storage of the solves of a slow program on disk: a small file per theta, written atomically.
+"""Disk storage for the solves of a slow program: a small file per theta, written atomically.
 
 Any number of processes can share a store. Each theta is solved by one process, for which other processes wait::
 
@@ -42,11 +42,11 @@ _NO_MOTION = 1e-6
 
 
 class StoreWarning(UserWarning):
-    """Warning that a model does not reproduce a stored solve exactly."""
+    """Issued when a model does not reproduce a stored solve exactly."""
 
 
 class Solve(NamedTuple):
-    """The result of the program at one theta, or the reason why it failed.
+    """A program's result at one theta, or the reason why it failed.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Solve(NamedTuple):
     seconds : float
         Time that the program took.
     reason : str
-        Reason why the solve failed; empty if it succeeded.
+        Why the solve failed; empty if it succeeded.
     gradient : ndarray, shape (n_modes, n_parameters), or None
     """
 
@@ -71,13 +71,13 @@ class Solve(NamedTuple):
 
 @check_arguments
 class SolveStore:
-    """The stored solves of one model; iterating yields every `Solve`, in no particular order.
+    """Stored solves of one model; iterating yields every `Solve`, in no particular order.
 
     Parameters
     ----------
     folder : Path
-        Folder of the store, made when the first solve is stored. Failures are in its folder ``failed``: if that
-        is deleted, they are solved again.
+        Folder of the store, created when the first solve is stored. Failures are in its subfolder ``failed``;
+        delete that to have them solved again.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -96,7 +96,7 @@ class SolveStore:
         return None
 
     def keep(self, solve: Solve) -> None:
-        """Save the answer of a solve to disk; raise OSError if the file cannot be written."""
+        """Write a solve to disk. Raise OSError if the file cannot be written."""
         values = solve._asdict()
         lists = {name: None if values[name] is None else values[name].tolist() for name in _ARRAYS}
         payload = json.dumps(values | lists).encode()
@@ -108,7 +108,7 @@ class SolveStore:
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[None]:
-        """Wait for the lock of theta, and hold it within a with block, so that no other process solves this theta.
+        """In a ``with`` block, hold the lock for theta, so that no other process solves it; wait for it first.
 
         theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. The operating system
         releases the lock of a process that dies.
@@ -121,11 +121,11 @@ class SolveStore:
                 path.unlink()
 
     def running_folder(self, theta: FloatArray) -> Path:
-        """Return the path of the folder in which the program runs for this theta; hold its lock (`only_one`)."""
+        """Return the folder in which the program runs for this theta. Hold the lock from `only_one` to use it."""
         return self.folder / RUNNING / self._paths(theta)[0].stem
 
     def failed_folder(self, theta: FloatArray) -> Path:
-        """Return the path of the folder that keeps the files of a failed solve at this theta."""
+        """Return the folder for the files of a failed solve at this theta."""
         return self._paths(theta)[1].with_suffix("")
 
     def forget_failure(self, theta: FloatArray) -> None:
@@ -174,13 +174,13 @@ class SolveStore:
             )
 
     def _paths(self, theta: FloatArray) -> tuple[Path, Path]:
-        """Return the two possible paths of the file of a theta: of a successful solve, and of a failed one."""
+        """Return the two possible file paths for a theta: for a successful solve, and for a failed one."""
         name = f"{digest(theta.tobytes())[:32]}{_SUFFIX}"
         return self.folder / name, self.folder / FAILED / name
 
 
 def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
-    """Return the largest relative difference of frequencies, NaN if a frequency is NaN in one of the arrays only.
+    """Return the largest relative difference in frequency, or NaN if a frequency is NaN in only one array.
 
     Differences are relative to the stored frequency, but to no less than a hundredth of the highest one, since
     low frequencies may belong to rigid-body modes.
@@ -193,10 +193,10 @@ def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
 
 
 def _shapes_apart(frequencies: FloatArray, stored: FloatArray, given: FloatArray) -> float:
-    """Return the largest sin² between a shape and the span of the stored shapes of close frequencies.
+    """Return the largest sin² between a shape and the span of the stored shapes with close frequencies.
 
     Both arrays have shape (n_sensors, n_modes). Modes whose frequencies differ by at most 1 % of the highest
-    frequency may mix. Shapes that are zero at the sensors are not compared. Return 1 if the NaN entries differ.
+    frequency may mix. Shapes that are zero at the sensors are not compared. Returns 1 if the NaN entries differ.
     """
     if not np.array_equal(np.isnan(given), np.isnan(stored)):
         return 1.0
