@@ -223,24 +223,36 @@ def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
 
 def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
     """Return the error if a value breaks a rule, or None if it does not."""
-    if rule.pick(OwnRule):
+    rule = _with_text_as_path(rule)
+    found = _check(name, value, rule)
+    if found is True:
         return None
-    options = rule.options
-    if options:
-        kinds = get_args(rule.form)
-        if str in kinds and any(one.origin in PATHS for one in options):  # text is checked as a path
-            return _mistake(name, value, Rule(Union[tuple(one for one in kinds if one is not str)]))  # noqa: UP007
-        found = [_mistake(name, value, one) for one in options]
-        if None in found:
-            return None
-        within = [
-            one for one in found if one is not None and one.key != name
-        ]  # errors in entries of a value of the right kind
-        if within:
-            return within[0]
-    elif is_kind(value, rule):
-        return next(filter(None, _within(name, value, rule)), None)
-    return ArgumentError(name, f"must be {in_words(rule)}", shown(value), _advice(value, rule))
+    return found or ArgumentError(name, f"must be {in_words(rule)}", shown(value), _advice(value, rule))
+
+
+def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
+    """Return True if a value follows a rule, the error of an entry, or False if the value itself breaks the rule.
+
+    The message with the value is made elsewhere: for an array it takes long, and a value that breaks one option of
+    a union may follow another.
+    """
+    if rule.pick(OwnRule):
+        return True
+    if rule.options:
+        found = [_check(name, value, _with_text_as_path(one)) for one in rule.options]
+        if True in found:
+            return True
+        # errors in entries of a value of the right kind
+        return next((one for one in found if isinstance(one, ArgumentError) and one.key != name), False)
+    return is_kind(value, rule) and next(filter(None, _within(name, value, rule)), True)
+
+
+def _with_text_as_path(rule: Rule) -> Rule:
+    """Return a union without its text if it has a path, as which text is checked; another rule as it is."""
+    if not any(one.origin in PATHS for one in rule.options) or rule.pick(OwnRule):
+        return rule
+    kinds = tuple(one for one in get_args(rule.form) if one is not str)
+    return rule if len(kinds) == len(rule.options) else Rule(Union[kinds])  # noqa: UP007
 
 
 def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]:

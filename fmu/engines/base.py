@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol, Self, runtime_checkable
 
+from fmu.engines.blas import single_thread
 from fmu.engines.memory import free_memory
 from fmu.progress import Report
 
@@ -128,11 +129,9 @@ class InProcess(Engine):
         report: Report | None = None,
     ) -> list[Result]:
         """Run the tasks without copying `shared`; see `Engine.run_tasks`."""
-        from threadpoolctl import threadpool_limits
-
         results: dict[int, Result] = {}
         waiting = deque(enumerate(tasks))
-        with threadpool_limits(1, "blas"):
+        with single_thread():
             while waiting:
                 i, task = waiting.popleft()
                 results[i] = work(shared, task, report)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fmu.analysis.trace.conversion import save_trace
 from fmu.analysis.trace.provenance import versions
 from fmu.engines import default_workers, engine
-from fmu.fem.modes.modal import single_thread
+from fmu.engines.blas import single_thread
 from fmu.numbers import fixed, share
 from fmu.paper.errata import Erratum, computed_errata, count_reproduced, errata_page, recompute, recomputed_page
 from fmu.paper.experiment import Result, compute, directory_of

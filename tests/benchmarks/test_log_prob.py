@@ -5,7 +5,8 @@ import pytest
 import scipy.linalg as sl
 
 import fmu
-from fmu.fem.modes.modal import frequency_hz, single_thread
+from fmu.engines.blas import single_thread
+from fmu.fem.modes.modal import frequency_hz
 from tests.benchmarks.ratio import spd
 
 YOUNG, SECTION = "cantilever-young", "cantilever-section"

@@ -7,11 +7,12 @@ import time
 import numpy as np
 
 import fmu
+from fmu.engines.blas import single_thread
 from fmu.fem.frf.model import Damping, FRFModel
 from fmu.fem.frf.proportional import Source
 from fmu.fem.frf.training import Lines
 from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.modal import frequency_hz, single_thread
+from fmu.fem.modes.modal import frequency_hz
 from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray
 from tests.validation.scale_model import SD, E, Size, frame_model

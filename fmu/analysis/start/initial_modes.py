@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasured, unlike, warn_of_order
+from fmu.engines.blas import single_thread
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import (
     ModalSolution,
@@ -18,7 +19,6 @@ from fmu.fem.modes.modal import (
     is_rigid,
     join_shapes,
     mac,
-    single_thread,
     solve_spectrum,
 )
 from fmu.fem.modes.separable import selection

@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
+from fmu.engines.blas import single_thread
 from fmu.fem.frf.model import Damping, FRFModel
 from fmu.fem.frf.proportional import Source
 from fmu.fem.frf.training import enlarge
-from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.terms import sum_at
 from fmu.numbers import significant, typed
 from fmu.progress.phases import phase

@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.engines.blas import single_thread
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.solver import factorise
 from fmu.fem.modes.terms import sum_at
 from fmu.fem.reduced.basis import ReducedBlock

@@ -12,10 +12,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.engines.base import Engine, Work
+from fmu.engines.blas import single_thread
 from fmu.fem.modes.block import Block
 from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank
-from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor, unit_diagonal
 from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmu.fem.modes.modal import single_thread
+from fmu.engines.blas import single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import factorise
 from fmu.fem.modes.terms import ParametricMatrix, sum_at

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from fmu.engines.blas import single_thread
 from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import NEGATIVE, single_thread
+from fmu.fem.modes.modal import NEGATIVE
 from fmu.fem.modes.terms import coefficients, weighted_sum
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of

@@ -10,17 +10,11 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.engines.blas import single_thread
 from fmu.fem.modes.block import Block, Observation
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock, full_blocks
-from fmu.fem.modes.modal import (
-    ModalSolution,
-    count_modes,
-    frequency_gradient,
-    frequency_hz,
-    join_shapes,
-    single_thread,
-)
+from fmu.fem.modes.modal import ModalSolution, count_modes, frequency_gradient, frequency_hz, join_shapes
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.solver import LAPACK, Matrix, sparse_solver
 from fmu.fem.pairing.modal_model import ModalModel

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmu.engines.blas import single_thread
 from fmu.fem.modes.block import Block, Solved, shapes_at
-from fmu.fem.modes.modal import frequency_gradient, frequency_hz, single_thread
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.solver import Matrix
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.types import BoolArray, FloatArray, IntArray

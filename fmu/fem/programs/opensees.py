@@ -26,12 +26,13 @@ import scipy.sparse as sp
 from annotated_types import Interval
 
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.engines.blas import single_thread
 from fmu.engines.program import last_lines
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
 from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.modal import frequency_hz, single_thread
+from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.programs.followers import begin_analysis, follower_motions

@@ -11,8 +11,9 @@ from typing import Self
 import numpy as np
 
 from fmu.box import find_inside
+from fmu.engines.blas import single_thread
 from fmu.fem.approximation import Approximation
-from fmu.fem.modes.modal import ModalSolution, frequency_hz, single_thread
+from fmu.fem.modes.modal import ModalSolution, frequency_hz
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, candidate_numbers, frequencies_of

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.fem.modes.modal import single_thread
+from fmu.engines.blas import single_thread
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.surrogate.close_pairs import ClosePairs

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from fmu.engines.blas import single_thread
 from fmu.fem.frf.general import GeneralResponses
 from fmu.fem.frf.model import FRFModel
 from fmu.fem.frf.proportional import ModalResponses
-from fmu.fem.modes.modal import single_thread
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.misfit import Gains, Misfit, square

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from fmu.fem.modes.modal import single_thread
+from fmu.engines.blas import single_thread
 from fmu.fem.reduced import cache as basis_cache
 from fmu.fem.reduced.cache import load_basis, store_basis
 

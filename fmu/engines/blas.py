@@ -1,0 +1,36 @@
+"""One thread for BLAS, in the block of a `with` statement."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+
+class _OneThread:
+    """Context in which BLAS uses one thread, because more threads slow down many small eigenproblems.
+
+    The previous number of threads is restored afterwards. Nothing is changed if there is only one thread already,
+    because threadpoolctl's own context takes as long as a reduced eigenproblem.
+    """
+
+    def __enter__(self) -> None:
+        self._limited = [(blas, n) for blas in _libraries() if (n := blas.num_threads) not in (None, 1)]
+        for blas, _ in self._limited:
+            blas.set_num_threads(1)
+
+    def __exit__(self, *exception: object) -> None:
+        for blas, n in self._limited:
+            blas.set_num_threads(n)
+
+
+single_thread = _OneThread
+
+
+@cache
+def _libraries() -> tuple[Any, ...]:
+    # NumPy and SciPy each bring their own BLAS: both must be loaded before the controller looks for them
+    import numpy.linalg  # noqa: F401
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return tuple(ThreadpoolController().select(user_api="blas").lib_controllers)
