@@ -49,7 +49,6 @@ def compare(context: click.Context, case: str, out: Path | None, pairing: str | 
 
 
 def _compare_run(directory: Path) -> None:
-    """Print a comparison of a run's traces."""
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.trace.conversion import load_traces
     from fmu.runs.words import why_no_traces

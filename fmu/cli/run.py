@@ -147,7 +147,7 @@ def run(
                 if several:
                     click.echo(f"Discrepancy {k} of {len(kinds)}: {VARIANTS[kind].title}", err=True)
                 codes.append(_run_once(changed, where, new=True, overwrite=overwrite, **options))
-        except (ArgumentError, ConfigurationError) as error:  # all is all that suit the problem
+        except (ArgumentError, ConfigurationError) as error:  # "all" means all that suit the problem
             if ALL not in discrepancies:
                 raise
             click.echo(f"Left out, as it does not suit the problem: {error}", err=True)
@@ -310,7 +310,7 @@ def _begin_run(
         running.begin(asked)
     try:
         problem = build_problem(asked, engine)
-    except OSError:  # a file cannot be read, for example; a ValueError leaves nothing behind either
+    except OSError:  # for example, if a file cannot be read; a ValueError leaves nothing behind either
         running.abandon()
         raise
     except KeyboardInterrupt:

@@ -71,7 +71,7 @@ def sample_problem(
     from fmu.samplers.registry import plan_steps
 
     with _explain_failure(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
-        maxima = kept_maxima(running.folder)  # may be of another posterior: the checkpoints refuse that
+        maxima = kept_maxima(running.folder)  # of another posterior perhaps; the checkpoints then reject it
         if maxima is None and is_searchable(problem):
             starts = asked.orders["starts"] or default_starts(problem)
             if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long
@@ -107,7 +107,7 @@ def sample_problem(
                 with shielded():
                     running.finish_sampler(name, asked)
     end_bars(report)
-    if asked.orders.get("exact"):  # the maxima of the model, and not of its surrogate
+    if asked.orders.get("exact"):  # the model's maxima, not the surrogate's
         outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))
         if outcome.maxima is not None:
             echo_maxima(outcome.maxima)
@@ -165,7 +165,7 @@ def _until(orders: Orders) -> dict[str, object]:
 
 
 def _limit(orders: Orders) -> int:
-    """Return the limit on a sampler's solves; with a surrogate, which solves fast, at least the default."""
+    """Return the limit on a sampler's solves; for a surrogate, whose solves are fast, at least the default."""
     return max(orders["max_solves"], MAX_SOLVES if orders.get("surrogate") else 0)
 
 

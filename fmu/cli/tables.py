@@ -84,7 +84,7 @@ def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
     width = max(width, len(name)) + 2
     indent = " " * width
     click.echo(wrap_text(found.verdict, f"{name:{width}}", indent))
-    for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
+    for remark in found.remarks[not found.converged :]:  # the verdict already states the first reason
         click.echo(wrap_text(remark, f"{indent}- ", f"{indent}  "))
 
 

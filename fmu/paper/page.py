@@ -158,7 +158,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return tables of the long runs' convergence and cost, and of the cost of the paper's protocol."""
+    """Return tables of how the long runs converged and what they cost, and of the paper's protocol's cost."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (

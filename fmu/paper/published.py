@@ -160,7 +160,7 @@ class Experiment:
         return _values(self.measured)
 
     def error_percent(self, frequencies: ArrayLike) -> FloatArray:
-        """Return the errors |f − f_m|/f_m in %, as defined in the paper, for frequencies (..., n_modes) in Hz."""
+        """Return the paper's errors |f − f_m|/f_m, in %, for frequencies (..., n_modes) in Hz."""
         return 100.0 * np.abs(np.asarray(frequencies, dtype=float) - self.measured_hz) / self.measured_hz
 
     def inconsistent_errors(self, column: str) -> tuple[int, ...]:

@@ -57,7 +57,10 @@ class GaussNewton:
         self._scaled = ScaledDensity(problem) if scaled is None else scaled
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return V, its gradient and its Gauss–Newton Hessian at u; V is infinite where the model fails."""
+        """Return V (n,), its gradient (n, ndim) and its Gauss–Newton Hessian (n, ndim, ndim) at u (n, ndim).
+
+        V is infinite where the model fails.
+        """
         p, scaled = self.problem, self._scaled
         theta = scaled.to_theta(u)
         log_likelihood, slope, information = p.quadratic(theta)
@@ -126,7 +129,7 @@ def ascend(
         s = _box_step(u[going], g[going], damped, lower, upper)
         new_V, new_g, new_H = quadratic(u[going] + s)
         predicted = np.maximum(_predicted_decrease(s, g[going], H[going]), np.finfo(float).tiny)
-        with np.errstate(over="ignore"):  # an infinite ratio accepts or refuses the step as a large one does
+        with np.errstate(over="ignore"):  # an infinite ratio has the same effect as a large one
             ratio = (V[going] - new_V) / predicted
         better, damping[going] = adjust_damping(damping[going], ratio)
         moved = going[better]
@@ -136,7 +139,7 @@ def ascend(
 
 
 def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:
-    """Return a mask of the accepted steps, and the damping for the next steps.
+    """Decide which steps are accepted, and adapt the damping for the next steps.
 
     Parameters
     ----------
@@ -144,6 +147,12 @@ def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, Flo
         Relative enlargement of the diagonal in the last steps.
     ratio : array_like
         Ratio of actual to predicted change of V in the last steps.
+
+    Returns
+    -------
+    accepted : ndarray of bool
+    damping : ndarray
+        Both have the shape of `ratio`.
     """
     ratio = np.asarray(ratio)
     better = ratio > 1e-4
@@ -171,7 +180,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
     active-set step. The last one fixes coordinates at the bounds that they would cross and solves for the
     remaining coordinates, until all are inside.
     """
-    # coordinates at a bound in which V decreases outwards are held
+    # fix coordinates that are at a bound while V decreases outwards
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, A, held, np.zeros_like(u))
     # the fraction of the step at which the first coordinate reaches its bound
@@ -179,7 +188,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
         room = np.where(s > 0, (upper - u) / s, np.where(s < 0, (lower - u) / s, np.inf))
     cut = s * np.clip(room.min(axis=1), 0.0, 1.0)[:, None]
     candidates = [np.clip(u + s, lower, upper) - u, cut]
-    for _ in range(u.shape[1]):  # each pass holds at least one more coordinate
+    for _ in range(u.shape[1]):  # each pass fixes at least one more coordinate
         outside = ((u + s < lower) | (u + s > upper)) & ~held
         if not outside.any():
             break
@@ -194,7 +203,7 @@ def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> Flo
     """Return the minimiser of g·s + sᵀAs/2, (n, ndim), with the `held` coordinates fixed at the values in `s`."""
     i = np.arange(g.shape[1])
     s = np.where(held, s, 0.0)
-    # identity rows for held coordinates keep the size of the system the same for the whole batch
+    # identity rows for fixed coordinates keep the system size the same for the whole batch
     B = np.where(held[:, :, None] | held[:, None, :], 0.0, A)
     B[:, i, i] = np.where(held, 1.0, B[:, i, i])
     right = np.where(held, 0.0, -(g + np.einsum("nij,nj->ni", A, s)))
@@ -207,6 +216,6 @@ def _predicted_decrease(s: FloatArray, g: FloatArray, A: FloatArray) -> FloatArr
 
 
 def _invertible(H: FloatArray) -> FloatArray:
-    """Return H plus a small multiple of the identity, which makes undetermined directions invertible."""
+    """Return H (n, ndim, ndim) plus a small multiple of the identity, so that it can be inverted."""
     n = H.shape[1]
     return H + (1e-12 * (1.0 + np.trace(H, axis1=1, axis2=2)))[:, None, None] * np.eye(n)

@@ -15,7 +15,7 @@ from fmu.posterior.prior_doubts import outside_bounds
 from fmu.types import FloatArray
 
 Inferred = Mapping[str, tuple[float, float]]
-"""Posterior mean and standard deviation of each inferred standard deviation, by the name of the parameter."""
+"""Posterior mean and standard deviation of each inferred error sd, keyed by parameter name."""
 
 
 class Assumptions(NamedTuple):
@@ -206,7 +206,7 @@ def _source(data: Mapping[str, Any]) -> str:
 def _by_mode(
     likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
 ) -> tuple[tuple[str, str, str, str], ...]:
-    """Return the rows of the table of frequency errors; see `Assumptions.errors`."""
+    """Return the rows for the table of frequency errors; see `Assumptions.errors`."""
     measured = np.asarray(data["frequencies_hz"], dtype=float)
     sd = frequency_sd(likelihood, parameters, measured, inferred)
     if sd is None:

@@ -234,7 +234,7 @@ def _likelihood_of_frfs(
             raise ArgumentError("error", rule, len(of_frfs))
         _check_single(of_frfs)
     others = [one for one in given if one not in of_frfs]
-    of_modes = errors.of_modes != "frequency"  # given, and not by default
+    of_modes = errors.of_modes != "frequency"  # given explicitly, not by default
     discrepancies = tuple(as_list(discrepancy))
     if discrepancies and len(layout.tests) > 1:
         rule = "is for frequency response functions of a single test, or for tests of modes alone"
@@ -245,7 +245,7 @@ def _likelihood_of_frfs(
     if len(discrepancies) > 1:
         rule = 'of frequency response functions must be one, of kind "modes"'
         raise ArgumentError("discrepancy", rule, len(discrepancies))
-    if not (of_modes or any(data.use)):  # the data of another problem of FRFs alone
+    if not (of_modes or any(data.use)):  # data of another problem with FRFs only
         data = replace(data, use=())
     modal: Any = likelihood_of(others or "frequency", beta, model, paired, data, parameters, (), layout)
     if not of_modes:

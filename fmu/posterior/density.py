@@ -289,7 +289,7 @@ class Posterior:
 
     @property
     def roles(self) -> tuple[Role, ...]:
-        """The role of each parameter of theta."""
+        """Role (meaning) of each parameter in theta."""
         return (*self.layout.roles, *[Role("noise", None)] * (self.ndim - self.n_structural))
 
     @property
@@ -356,7 +356,7 @@ class Posterior:
         return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Record points with a non-finite term; return `terms` with -inf for all terms of these points."""
+        """Record points with a non-finite term; return `terms` (n, n_terms) with -inf for all terms there."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

@@ -8,7 +8,7 @@ from fmu.fem.programs.solves import Failure as Failure
 from fmu.types import FloatArray
 
 MOST_KEPT = 10_000
-"""Largest number of failures kept in `first`, and of failures kept until `take` is called."""
+"""Largest number of failures stored in `first`, and of failures stored until `take` is called."""
 
 
 class FailureRecord:

@@ -29,7 +29,7 @@ _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
 _MOST_POLISHED, _FIRST = 8, 16
 _AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
-"""With a discrepancy: starts with it, steps, nats below the highest end, and its sizes relative to the start."""
+"""With a discrepancy: ascents with it from the start, steps, nats below the highest end, and relative sizes."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def local_maxima(
         begun = list[FloatArray]()
         for likelihood in easier:
             begun.append(points := _ascend_roughly(problem.with_likelihood(likelihood), points))
-        # an easier likelihood may have lost a maximum: the ends of all of them are starts
+        # an easier likelihood may have lost a maximum, so the ends from all of them are starting points
         points = np.concatenate(begun) if begun else points
         if easier and n_sizes is not None:
             points = _starts_with_discrepancy(problem, scaled, at_once, points, n_sizes)

@@ -14,7 +14,7 @@ from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray, Plain
 
 _IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
-"""Arguments of priors that are in the unit of the parameter."""
+"""Prior arguments that are in the parameter's unit."""
 DIMENSIONS = ("chain", "draw")
 """Dimensions of the draws in a trace."""
 
@@ -163,6 +163,6 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
 
 
 def box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and upper limits of the box in which a reduced model must be accurate, shape (n,) each."""
+    """Return the lower and upper limits, (n,) each, of the box in which a reduced model must be accurate."""
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in parameters]).T
     return lower, upper

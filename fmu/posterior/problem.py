@@ -202,13 +202,13 @@ class UpdatingProblem(Posterior):
         ReductionWarning
             If training ended before the tolerance was reached.
         """
-        Tolerance.of(reduction)  # its errors come before the work
+        Tolerance.of(reduction)  # raise its errors before the expensive work
         problem = cls(*args, **options)
         tolerance = Tolerance.of(reduction, max(map(largest_block, problem.model.parts), default=0))
         if tolerance is None:
             return problem
         problem.tolerance = tolerance
-        if problem.layout.held:  # a scatter needs slopes by these parameters too: they are updated in training
+        if problem.layout.held:  # a scatter needs their derivatives too: update them in training
             given = dict(zip(("model", "data", "parameters"), args, strict=False)) | options
             given["parameters"] = [replace(p, updated=True) for p in given["parameters"]]
             every = cls.reduced(**given | {"discrepancy": ()}, reduction=reduction, engine=engine)
@@ -218,7 +218,7 @@ class UpdatingProblem(Posterior):
         reduced = problem.with_model(model)
         reduced.tolerance = tolerance
         if model.sizes:
-            require_digits(reduced)  # the reduced model adds rounding of its own
+            require_digits(reduced)  # the reduced model adds its own rounding
         return reduced
 
     @check_arguments

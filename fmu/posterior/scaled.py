@@ -64,7 +64,7 @@ class ScaledDensity:
         return (theta - self.offset) / self.scale
 
     def to_theta(self, u: FloatArray) -> FloatArray:
-        """Return theta for u in the box, clipped so that rounding cannot move it out of the bounds."""
+        """Return theta (..., ndim) for u in the box, clipped so that rounding cannot move it out of the bounds."""
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
@@ -76,7 +76,7 @@ class ScaledDensity:
         return self.density.log_prob(self.to_theta(u))
 
     def log_prob_and_grad(self, u: Any) -> tuple[Any, Any]:
-        """Return the log-density at u and its gradient with respect to u."""
+        """Return the log-density (n,) at u (n, ndim) and its gradient (n, ndim) with respect to u."""
         theta = self.to_theta(u)
         log_prob, gradient = self.density.log_prob_and_grad(theta)
         return log_prob, gradient * self.stretch(theta)
@@ -122,7 +122,7 @@ class LogScaledDensity(ScaledDensity):
         return np.where(self.is_log, logs, super().to_scaled(theta))
 
     def to_theta(self, u: FloatArray) -> FloatArray:
-        """Return theta for u in the box, clipped so that rounding cannot move it out of the bounds."""
+        """Return theta (..., ndim) for u in the box, clipped so that rounding cannot move it out of the bounds."""
         with np.errstate(over="ignore"):
             from_logs = np.exp(self._mean + self._sd * np.where(self.is_log, u, 0.0))
         theta = np.where(self.is_log, from_logs, super().to_theta(u))
@@ -159,7 +159,7 @@ class LogarithmicDensity:
         return np.asarray(self._of.log_prob(u) + self._log_jacobian(u))
 
     def log_prob_and_grad(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-density at u, and its gradient with respect to u."""
+        """Return the log-density (n,) at u (n, ndim) and its gradient (n, ndim) with respect to u."""
         log_prob, gradient = self._of.log_prob_and_grad(u)
         theta = self.to_theta(u)
         of_jacobian = self._of.stretch(theta) / np.where(self._of.is_log, theta, np.inf)

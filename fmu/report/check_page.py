@@ -224,7 +224,7 @@ def _responses(found: Check) -> list[PageSection]:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return figures that show each computed mode and the measured mode paired with it, at most 12."""
+    """Return one figure per measured mode, for at most 12, of the computed mode paired with it."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.typing import ColorType
 
 MOST_ORDINATES = 7_000
-"""Approximate largest number of ordinates kept per figure; longer paths are thinned to every k-th point."""
+"""Approximate largest number of path points stored per figure; longer paths are thinned to every k-th point."""
 _MOST_DRAWN = 12_000
-"""Largest number of values (draws of parameters and frequencies) kept for the linked pair plots of a page."""
+"""Largest number of values (draws of parameters and frequencies) stored for a page's linked pair plots."""
 _POINTS = 72.0
 
 

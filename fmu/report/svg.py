@@ -22,7 +22,7 @@ RASTER_DPI = 96
 _COLOURS = 32
 _SVG_DPI = 72
 _TAG = re.compile(r"<[^>]*>")
-"""A tag of the SVG; Matplotlib escapes angle brackets in text, so text does not match."""
+"""An SVG tag; Matplotlib escapes angle brackets in text, so text does not match."""
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 

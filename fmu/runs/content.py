@@ -114,7 +114,7 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: SavedState) -> bytes:
-    """Return a state as the bytes of a zip file of NumPy arrays, one of which contains the other data as JSON.
+    """Return a state as the bytes of a zip file; it contains NumPy arrays, one of which has the rest as JSON.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def read_state(path: Path) -> SavedState:
 
 
 def read_segment(directory: Path, segment: Segment) -> bytes:
-    """Return the content of a file of steps; raise DamagedError if the file is missing or has changed."""
+    """Return the bytes in a file of steps; raise DamagedError if the file is missing or has changed."""
     try:
         content = (directory / segment.name).read_bytes()
     except OSError as error:

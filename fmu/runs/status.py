@@ -201,7 +201,7 @@ class RunReader:
 
 
 def _state(at_work: ProcessInfo | None, directory: Path) -> str:
-    """Return the state of a run that has not finished."""
+    """Return the state of an unfinished run: ``"running"``, ``"stopped"``, ``"killed"`` or ``"silent"``."""
     if at_work is None:  # stopped, unless a process has just created the directory
         return RUNNING if _begins(directory) else STOPPED
     alive = at_work.is_alive()

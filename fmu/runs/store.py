@@ -34,7 +34,7 @@ from fmu.samplers.loop.run import LIVE_S
 from fmu.samplers.loop.saving import PendingGroup, SavedGroup
 
 LEDGER = "failures.csv"
-_STATES = 2  # number of states that are kept: if the last state is damaged, the previous state is used
+_STATES = 2  # number of states to keep: if the last one is damaged, the previous one is used
 
 
 class CheckpointWarning(UserWarning):
@@ -130,7 +130,7 @@ class Store:
         failures = [Failure(failure.theta, writable(failure.reason)) for failure in pending.failures]
         pending = pending._replace(failures=failures)
         try:
-            if not self._is_named:  # first with draws, so that a call that fails before leaves the directory free
+            if not self._is_named:  # with the first draws: an earlier failure leaves the directory free
                 self.identity.write(self.directory)
                 self._is_named = True
             segment = self._files(group).append(self.identity.hash, pending)

@@ -34,7 +34,7 @@ SCALAR, VECTOR = "scalar", "vector"
 
 
 def relative_weights(frequencies_hz: FloatArray) -> FloatArray:
-    """Return the modes' weights β_i = 1/(2σ_i²) in 1/Hz², where σ_i is `RELATIVE` times the frequency."""
+    """Return each mode's weight β_i = 1/(2σ_i²) in 1/Hz², where σ_i is `RELATIVE` times the frequency."""
     return 1.0 / (2.0 * (RELATIVE * frequencies_hz) ** 2)
 
 

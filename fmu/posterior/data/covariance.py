@@ -10,11 +10,11 @@ from fmu.numbers import significant
 from fmu.types import FloatArray
 
 _SYMMETRIC = 1e-9
-"""Largest asymmetry allowed in the matrix of correlations."""
+"""Largest asymmetry allowed in the correlation matrix."""
 
 
 def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz2") -> FloatArray:
-    """Return a covariance matrix as a read-only array, symmetric to the last bit.
+    """Check a covariance matrix and return it as a read-only array, symmetric to the last bit.
 
     Parameters
     ----------
@@ -28,7 +28,8 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
     ------
     ValueError
         If the matrix does not have the shape (n, n), is not finite, is not symmetric (correlations may differ by
-        1e-9), or is not positive definite: the lowest eigenvalue of the correlations must be at least 1e-12.
+        1e-9), or is not positive definite (the lowest eigenvalue of the correlation matrix must be at least
+        1e-12).
     """
     matrix = np.array(covariance, dtype=float)
     if matrix.shape != (n, n):

@@ -235,7 +235,7 @@ class FRFData:
 
     @property
     def power(self) -> int:
-        """Power of iω by which receptances are multiplied: 0 for none, 1 for mobilities, 2 for accelerances."""
+        """Power of iω that converts a receptance to this kind of FRF: 0, 1 for mobility or 2 for accelerance."""
         return KINDS.index(self.kind)
 
     @property

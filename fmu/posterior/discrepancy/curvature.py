@@ -15,7 +15,7 @@ from fmu.posterior.errors.base import ErrorTerm
 from fmu.posterior.errors.slopes import split_by_term
 from fmu.types import FloatArray, IntArray
 
-_STEP = 1e-4  # of a parameter; the error of a difference is of the order of its square
+_STEP = 1e-4  # relative parameter step; the error of a difference is of the order of its square
 
 
 def by_second_derivatives(

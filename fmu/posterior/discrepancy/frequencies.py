@@ -99,11 +99,11 @@ class ScatteredFrequencies:
         return terms, slopes
 
     def _squares(self, values: FloatArray) -> FloatArray:
-        """Return s², shape (n, p)."""
+        """Return each parameter's squared scatter unit s², shape (n, p)."""
         return np.where(self._relative, values**2, self._size_squared)
 
     def _tau_squared(self, noise: FloatArray) -> FloatArray:
-        """Return τ², shape (n, p)."""
+        """Return each parameter's squared scatter τ², shape (n, p)."""
         total = self._fixed
         for d, count in self._counts.items():
             total = total + noise[:, d, None] ** 2 * count

@@ -23,7 +23,7 @@ import numpy as np
 from fmu.types import FloatArray, IntArray
 
 _MOST_SQUARES = 1e14
-"""Largest sum of squared residuals of a row, in standard deviations, that leaves the density an error of 0.01."""
+"""Largest sum of a row's squared residuals, in standard deviations, at which the density is accurate to 0.01."""
 
 
 class Slopes(NamedTuple):
@@ -90,7 +90,7 @@ class LatentErrors:
         rounding errors of their squares, which cancel, would exceed 0.01.
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
-        with np.errstate(invalid="ignore"):  # of the rows without a density
+        with np.errstate(invalid="ignore"):  # rows without a density
             return np.where(squares > _MOST_SQUARES, -np.inf, self._terms(squares))
 
     def _terms(self, squares: FloatArray) -> FloatArray:
@@ -227,17 +227,17 @@ class LatentErrors:
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """M accumulated over the group's rows up to each row, shape (n, m, P, P)."""
+        """Precision M of each group's latent errors z, given its rows up to each row, shape (n, m, P, P)."""
         return np.asarray(np.eye(self.loads.shape[3]) + self._gram)
 
     @cached_property
     def _gram(self) -> FloatArray:
-        """AᵀA accumulated over the group's rows up to each row, shape (n, m, P, P)."""
+        """Gram matrices AᵀA of the loadings, summed over each group's rows up to each row, shape (n, m, P, P)."""
         return self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        """M⁻¹, shape (n, m, P, P)."""
+        """Covariance M⁻¹ of each group's latent errors z, given its rows up to each row, shape (n, m, P, P)."""
         if not self._is_single:
             return _solve(self._precision, np.eye(self.loads.shape[3]))
         A = self.loads
@@ -272,7 +272,10 @@ class LatentErrors:
 
 
 def _half_root(gram: FloatArray) -> FloatArray:
-    """Return V h(Λ) Vᵀ of VΛVᵀ, (…, P, P), with h(λ) = (1 − 1/√(1 + λ))/λ = 1/(s (1 + s)), s = √(1 + λ)."""
+    """Return V h(Λ) Vᵀ for Gram matrices VΛVᵀ, shape (…, P, P); see `LatentErrors.whiten` for h.
+
+    It is computed as h(λ) = (1 − 1/√(1 + λ))/λ = 1/(s (1 + s)) with s = √(1 + λ).
+    """
     values, V = np.linalg.eigh(np.where(np.isfinite(gram), gram, 0.0))  # LAPACK fails at NaN
     s = np.sqrt(1.0 + np.maximum(values, 0.0))
     return np.asarray((V / (s * (1.0 + s))[..., None, :]) @ np.swapaxes(V, -1, -2))

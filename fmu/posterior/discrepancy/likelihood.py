@@ -128,7 +128,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._with_quantities(terms + shared, theta)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms, and the derivatives of their sum through each mode, (n, n_used, ndim).
+        """Return the log-likelihood terms, and the derivatives of their sum through each mode, (n, n_used, ndim).
 
         Row i has the derivatives through the prediction of mode i in its test. They are the derivatives of term i
         unless the mode was measured in several tests.
@@ -145,7 +145,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def quadratic(
         self, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the log-likelihood, its gradient and the information; see `ModalLikelihood`.
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
         With the residuals' covariance S, the information on the parameters is JᵀS⁻¹J, and the information on error
         sds and τ is Fisher's. The derivatives of S with respect to the parameters are neglected.
@@ -167,9 +167,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return terms.sum(axis=1), slopes.sum(axis=1), information
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives multiplied by S^(−½), so that the residuals are independent.
+        """Return the whitened residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        S is the covariance of a mode's residuals in all tests or, without a `chain`, in each test alone.
+        Both are multiplied by S^(−½), so that the residuals are independent. S is the covariance of a mode's
+        residuals in all tests or, without a `chain`, in each test alone.
         """
         seen = self.observed(theta, True)
         with np.errstate(all="ignore"):
@@ -177,7 +178,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return squared residuals given the earlier tests, divided by their variances including discrepancy."""
+        """Return each used mode's squared residuals given the earlier tests, (n, n_kinds, n_used).
+
+        They are in standard deviations that include the discrepancy.
+        """
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -240,7 +244,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return computed frequencies with the model discrepancy added; see `Likelihood`."""
+        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy added; see `Likelihood`."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -269,7 +273,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def _test(self) -> IntArray:
-        """Index of the test that each used mode belongs to."""
+        """Index of the test that each used mode belongs to, shape (n_used,)."""
         return self.model.test_of_modes[self._used]
 
     def _noise(self, theta: FloatArray) -> FloatArray:
@@ -295,7 +299,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each frequency's derivatives, in Hz, with respect to its mode's own errors and common errors."""
+        """Return each frequency's derivatives, in Hz, with respect to its mode's own errors and common errors.
+
+        The shapes are (n, n_modes, P) and (n, n_modes, C).
+        """
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
@@ -318,7 +325,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         latent: LatentErrors,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms, and the derivatives of their sum through each mode."""
+        """Return the log-likelihood terms, and the derivatives of their sum through each mode."""
         of_errors = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         terms, slopes = self._terms_and_gradient(of_errors, theta, chain)
         m, N = len(self._used), slopes.shape[-1] - len(self.noise)

@@ -146,7 +146,7 @@ class ModelErrors:
         return _joined([part[0] for part in parts], 1), _joined([part[1] for part in parts], 1)
 
     def log_variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of the logarithms of the `variances` with respect to the `noise`.
+        """Return the derivatives of log `variances` with respect to the inferred error sds.
 
         Their shapes are (n, n_noise, E + Q) and (n, n_noise, F + C). They are 0 where a variance is 0.
         """
@@ -260,7 +260,7 @@ class ModelErrors:
 
 
 def _joined(parts: Sequence[FloatArray], axis: int) -> FloatArray:
-    """Return the parts one after the other along an axis, without a copy if one part alone has a length there."""
+    """Concatenate arrays along an axis, without a copy if all but one of them are empty."""
     filled = [part for part in parts if part.shape[axis]]
     return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
 

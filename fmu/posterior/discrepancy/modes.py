@@ -130,7 +130,10 @@ class ModeErrors:
     def _of_shapes(
         self, term: ShapeTerm, seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return C, (n, n_modes, q, q), and ψ and 1/σ, (n, n_modes, q); see `change_of_units`."""
+        """Return the matrices C and the scaled shapes ψ and 1/σ defined in `change_of_units`.
+
+        The shapes are (n, n_modes, q, q) for C, and (n, n_modes, q) for the others.
+        """
         root = np.swapaxes(1.0 / np.sqrt(term.spread.variance(noise)), 1, 2)
         largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
         return root[..., None] * (largest * self.root), root * np.swapaxes(seen.shapes, 1, 2), root
@@ -147,7 +150,7 @@ class ModeErrors:
         return own, common
 
     def log_variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of the logarithms of the `variances` with respect to the `noise`.
+        """Return the derivatives of log `variances` with respect to the inferred error sds.
 
         Their shapes are (n, n_noise, n_own) and (n, n_noise, n_common).
         """

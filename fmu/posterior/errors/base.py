@@ -147,7 +147,7 @@ class ErrorTerm:
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return the normal scores of errors divided by their standard deviations, (..., n_modes) or for one mode.
+        """Convert errors divided by their standard deviations, (..., n_modes) or for one mode, to normal scores.
 
         Gaussian errors are returned unchanged, unless the standard deviations were estimated from a few tests.
         """
@@ -398,7 +398,10 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies plus any model discrepancy at theta, drawn from its prior or given the data."""
+        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy at theta added, if there is one.
+
+        With `given_data`, the discrepancy is drawn given the data; otherwise it is drawn for a similar structure.
+        """
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

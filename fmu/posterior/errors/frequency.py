@@ -217,10 +217,10 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + error)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency in Hz; see `ErrorTerm`.
+        """Return the mean and standard deviation of each measured frequency, (n, n_modes), in Hz.
 
         Eigenvalue errors ε = (f/f^m)² − 1 are not Gaussian in f^m. Their standard deviation is converted to Hz
-        such that (f − f^m) divided by it equals ε divided by the standard deviation of ε.
+        such that (f − f^m) divided by it equals ε divided by ε's standard deviation.
         """
         sd = self.sd[None] if self.is_known else np.sqrt(self.spread.variance(noise))
         if self.kind == "eigenvalue":
@@ -250,7 +250,7 @@ class FrequencyTerm(ErrorTerm):
         return normaliser - beta * error**2
 
     def errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
-        """Return ε, in Hz or, for eigenvalues, dimensionless, and ∂ε/∂f."""
+        """Return the frequency errors ε, (n, n_modes), and ∂ε/∂f; ε is in Hz, or dimensionless for eigenvalues."""
         # C order, so that the terms of a row are summed in the same order whatever the batch size
         f = np.ascontiguousarray(f)
         if self.kind == "eigenvalue":
@@ -360,7 +360,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and sd of each measured frequency given the others, in Hz; see `ErrorTerm`."""
+        """Return the mean and sd of each measured frequency given the others, (n, n_modes), in Hz."""
         c = np.sum(self._inverse_root**2, axis=0)
         g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
@@ -382,12 +382,12 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return {"error": "frequency", "covariance_hz2": self.covariance_hz2.tolist()}
 
     def _standardise(self, frequencies: FloatArray) -> FloatArray:
-        """Return z = L⁻¹ε, shape (…, n_modes)."""
+        """Return the whitened errors z = L⁻¹ε, shape (…, n_modes)."""
         return _times(self._inverse_root, frequencies - self.measured)
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return A x along an axis of `x`, in C order; every sum has the same order for any batch size."""
+    """Return the product A x along an axis of `x`, in C order, summed in the same order for any batch size."""
     total = np.zeros(x.shape)
     along = (slice(None),) * (axis % x.ndim)
     columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))

@@ -119,7 +119,7 @@ class ModalLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the modes' `terms` and their `misfit` from the same solves; see `Likelihood`."""
+        """Return the modes' `terms`, (n, n_used), and `misfit`, (n, n_kinds, n_used), from the same solves."""
         is_enough = self.by_frequencies and frequencies is not None
         seen = without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)

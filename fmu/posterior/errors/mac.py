@@ -85,7 +85,7 @@ class MACTerm(ErrorTerm):
     groups: Groups = ()
     needs_shapes: ClassVar[bool] = True
     is_least_squares: ClassVar[bool] = True
-    quantity: ClassVar[str] = "MAC values"  # noise of shapes does not make them half-normal: see `MACErrors`
+    quantity: ClassVar[str] = "MAC values"  # shape noise does not make 1 − MAC half-normal: see `MACErrors`
 
     @property
     def couples_modes(self) -> bool:

@@ -16,10 +16,10 @@ from fmu.posterior.parameters import Parameter, parameter_in
 from fmu.types import FloatArray, IntArray, Plain
 
 NoiseIndex = Callable[[Parameter], int]
-"""A function that returns the index of an inferred standard deviation among those of the problem."""
+"""A function that returns an inferred error sd's index among those in the problem."""
 
 OLD_NAMES = {"discrepancy": "model_sd"}
-"""Present names of the arguments of error models by their old names."""
+"""Present names of error model arguments, keyed by old name."""
 
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:

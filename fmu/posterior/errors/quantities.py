@@ -218,7 +218,7 @@ class StaticErrors(QuantityErrors):
         lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
 
         def points(n: int) -> FloatArray:
-            """Return n draws from the prior; every second draw is moved to a corner of the finite bounds."""
+            """Return n draws from the prior, (n, p), every second one moved to a corner of the finite bounds."""
             drawn = prior.draw(rng, n)
             ends = np.where(rng.random(drawn.shape) < 0.5, lower, upper)
             corner = (np.arange(n) % 2 == 1)[:, None] & np.isfinite(ends)

@@ -137,7 +137,7 @@ class ModalResidual(Likelihood):
 
 
 def _masters(rows: Any) -> NDArray[np.intp]:
-    """Return the indices of the degrees of freedom at the sensors, shape (n_sensors,)."""
+    """Return the degree-of-freedom index at each sensor, shape (n_sensors,)."""
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
         raise ArgumentError(
             "sensors", "for the modal residual they must be degrees of freedom, without arms or signs"

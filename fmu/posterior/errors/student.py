@@ -97,7 +97,7 @@ class StudentTerm(FrequencyTerm):
         return False
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return the normal scores of errors divided by their scales: Φ⁻¹ of Student's distribution function."""
+        """Convert errors divided by their scales to normal scores, Φ⁻¹ of Student's distribution function."""
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:

@@ -14,9 +14,9 @@ from fmu.posterior.priors.base import Normal
 from fmu.types import ComplexArray, FloatArray, IntArray
 
 _WIDTHS = 8.0
-"""Bounds of an error of a channel, in standard deviations of its prior."""
+"""Bounds of a channel error, in prior standard deviations."""
 _LEAST_GAIN = 0.05
-"""Smallest gain 1 + γ of a channel."""
+"""Smallest channel gain 1 + γ."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,7 +121,7 @@ class DampingMatrix:
 
 
 DampingModel = ModalDamping | RayleighDamping | StructuralDamping | Dashpot | DampingMatrix
-"""The settings of damping; several are added up."""
+"""Damping settings; several are added up."""
 
 
 def inferred_in(given: DampingModel | Sequence[DampingModel]) -> list[Parameter]:

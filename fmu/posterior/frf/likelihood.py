@@ -187,7 +187,7 @@ class FRFLikelihood(Likelihood):
         return theta[:, : self._n_modal]
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode and of each test's FRFs, (n, n_terms)."""
+        """Return the log-likelihood of each used mode and each test's FRFs, (n, n_terms)."""
         return self._with_responses(self._modal_terms(theta), theta)
 
     def _modal_terms(self, theta: FloatArray) -> FloatArray:
@@ -200,7 +200,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([terms, *found], axis=1)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood of each used mode and of each test's FRFs, with the gradients."""
+        """Return the log-likelihood of each used mode and each test's FRFs, (n, n_terms), and its gradient."""
         values, slopes = [], []
         N = self.n_structural + len(self.noise)
         if not self._has_no_terms_of_modes:
@@ -317,7 +317,10 @@ class FRFLikelihood(Likelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies plus any model discrepancy at theta, drawn from its prior or given the data."""
+        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy at theta added, if there is one.
+
+        With `given_data`, the discrepancy is drawn given the data; otherwise it is drawn for a similar structure.
+        """
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
@@ -337,7 +340,7 @@ class FRFLikelihood(Likelihood):
 
 
 def _whiten(gradient: FloatArray, information: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return n residuals and their derivatives for the first n parameters, at the best values of the others."""
+    """Return n residuals and their derivatives (n, n) for the first n parameters, at the others' best values."""
     other = information[n:, n:]
     if len(other):
         gain = np.linalg.lstsq(other, information[n:, :n], rcond=None)[0]

@@ -34,9 +34,9 @@ from fmu.posterior.priors.one_sided import HalfNormal
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
 
 _BAND = 1.1
-"""Modes up to this multiple of the highest line have errors."""
+"""Modes up to this multiple of the highest line's frequency have a discrepancy."""
 _RANGE = 0.3
-"""Bounds of the frequency of a mode, relative to that of the model at the start."""
+"""Bounds of a mode's frequency, relative to the model's frequency at the starting point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class _At(NamedTuple):
 class ScatteredTerm(FRFTerm):
     """Measured FRFs bound to a structure with model discrepancy in its modes; see the module docstring.
 
-    The parameters of `scatter` follow those of the damping.
+    The parameters in `scatter` follow the damping parameters.
     """
 
     has_discrepancy = True
@@ -260,7 +260,10 @@ class ScatteredTerm(FRFTerm):
         return np.asarray(at.modes.amplitudes @ at.resonances.g * self._power)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs at the lines that the term `every` uses, with residues drawn given this term's data."""
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines that the term `every` uses.
+
+        Their residues are drawn given this term's data.
+        """
         assert isinstance(every, ScatteredTerm)
         epsilon, there = self._draw(self._at(theta), rng), every._at(theta)
         size = self._shape_sd(theta) * there.unit
@@ -282,11 +285,11 @@ class ScatteredTerm(FRFTerm):
 
 
 def _split(z: ComplexArray) -> FloatArray:
-    """Return the real parts of the last axis followed by the imaginary parts."""
+    """Split complex numbers into real parts followed by imaginary parts along the last axis."""
     return np.concatenate([z.real, z.imag], axis=-1)
 
 
 def _join(x: FloatArray) -> ComplexArray:
-    """Join real and imaginary parts into complex numbers; the inverse of `_split`."""
+    """Join real and imaginary parts along the last axis into complex numbers; the inverse of `_split`."""
     real, imaginary = np.split(x, 2, axis=-1)
     return np.asarray(real + 1j * imaginary)

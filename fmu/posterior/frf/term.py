@@ -22,9 +22,9 @@ from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
 _LINES = 512
 """Number of lines in a block; fixed, so that no bit of a result depends on the size of a batch."""
 _MOST_NUMBERS = 2**17
-"""Largest number of elements of the arrays of a block of lines, so that they stay in the processor's cache."""
+"""Largest number of array elements per block of lines, so that they stay in the processor's cache."""
 GAUSSIAN = 500.0
-"""Degrees of freedom from which Student's distribution is taken for the Gaussian one."""
+"""Degrees of freedom from which Student's t distribution is replaced by the Gaussian."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
@@ -124,7 +124,10 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs at the lines that `every` uses; subclasses draw their model errors given these data."""
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines that the term `every` uses.
+
+        Subclasses with model errors draw these given this term's data.
+        """
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,7 +173,10 @@ class FRFTerm:
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
     def distance(self, frfs: ComplexArray, theta: FloatArray) -> ComplexArray:
-        """Return the errors of the data, or of their logarithms, in standard deviations; see `error_sd`."""
+        """Return the measured minus the computed FRFs in error standard deviations, (n, n_frfs, n_lines).
+
+        With errors in log H, these are the differences of the logarithms; see `error_sd`.
+        """
         measured = self._measured * self._power
         error = measured - frfs
         if self._is_log:
@@ -227,7 +233,7 @@ class FRFTerm:
         return np.full((len(theta), 1, 1), self._model_sd)
 
     def _variances(self, H: ComplexArray, theta: FloatArray, lines: slice) -> tuple[FloatArray, FloatArray]:
-        """Return the variances V and their logarithms, (n, n_frfs, n_lines) or (n_frfs, n_lines)."""
+        """Return the error variances V and their logarithms, (n, n_frfs, n_lines) or (n_frfs, n_lines)."""
         if self._has_fixed_variance:
             return self._variance[:, lines], self._log_variance[:, lines]
         size = np.ones(1) if self._is_log else square(H)

@@ -135,7 +135,7 @@ class BlockForm:
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:
-        """Return minus the second derivatives of the main parameters' log-prior, plus the information on noise."""
+        """Return minus the second derivatives of the log-prior, (d, d), plus the information on error sds."""
         problem, scale = self.problem, self.scaled.scale
         found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)
@@ -175,7 +175,7 @@ class BlockForm:
         return theta, hessian
 
     def _move(self, theta: FloatArray, main: FloatArray, scores: FloatArray) -> FloatArray:
-        """Return theta after scaled steps `main` and `scores`; main parameters are clipped to their bounds."""
+        """Return theta (ndim,) after scaled steps `main` and `scores`, with `main` clipped to the bounds."""
         found, scored = theta.copy(), self.scores.scored
         found[self.columns] += main * self.scaled.scale[self.columns]
         found[self.scores.columns[scored]] += (scores * self.scaled.scale[self.scores.columns])[scored]

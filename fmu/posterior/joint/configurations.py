@@ -173,7 +173,7 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
         counts_rigid=any(test.data.counts_rigid for test in tests),
         sensors=sensors,
         labels=tuple(labels),
-        # whatever a test measured: `fmu.check` and the verdict on a run name its sensors and modes
+        # accept any MAC: `fmu.check` and the verdict on a run name the sensors and modes that disagree
         shapes=mean_shapes(shapes, least_mac=0.0) if has_shapes else None,
         shapes_sd=np.nanmin(shapes_sd, axis=0) if has_sd else None,
         sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),

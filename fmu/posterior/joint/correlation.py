@@ -27,7 +27,7 @@ from fmu.types import BoolArray, FloatArray, IntArray
 MOST = 0.999
 """The largest absolute value of a partial correlation."""
 _START = 0.95
-"""The largest absolute value of a partial correlation at the start of sampling."""
+"""The largest absolute value of a partial correlation at a starting point."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Correlation:
         return found
 
     def log_det(self, theta: FloatArray) -> FloatArray:
-        """Return the log-determinant of the correlation matrix of each test's scores, (n, n_tests)."""
+        """Return the log-determinant of each test's score correlation matrix, shape (n, n_tests)."""
         found = np.zeros((len(theta), len(self.scored)))
         for _, tests, _, _, log_det in self._at(theta)[2]:
             found[:, tests] = log_det[:, None]
@@ -183,7 +183,7 @@ def partial_correlations(factor: FloatArray) -> FloatArray:
     factor : ndarray, shape (…, p, p)
         Square roots A of the matrices A Aᵀ. Rows may have any scale.
     """
-    # ρ_ij given the variables before i: what the rows i and j have in common beside the rows before them
+    # ρ_ij given the variables before i: correlation of rows i and j after removing the rows before them
     L = np.swapaxes(np.linalg.qr(np.swapaxes(factor, -1, -2), mode="r"), -1, -2)
     L = L * np.sign(np.einsum("...ii->...i", L))[..., None, :]
     left = np.sqrt(np.cumsum(L[..., ::-1] ** 2, axis=-1)[..., ::-1])

@@ -142,7 +142,7 @@ def JointProblem(  # capitalised because it constructs a problem
     if discrepancy:
         problem = UpdatingProblem(joint, data, parameters, discrepancy=discrepancy, **common)
     problem.tolerance = tolerance
-    # the scores are centred by what each test says alone, and a discrepancy couples the tests
+    # centring uses each test's data alone, but a discrepancy couples the tests
     if not problem.is_hierarchical:
         return problem
     centred = centre_scores(plain.with_layout(layout.without_time()))

@@ -300,7 +300,7 @@ class _SensitivitiesInTests(Sensitivities):
             own = d[:, part.columns[:, None], part.parameters]
             weights = None if of_shapes is None else of_shapes[:, :, part.columns[:, None], part.parameters]
             picked = np.empty(own.shape)
-            for some in part.without_repetition:  # tests that share a solve have directions of their own
+            for some in part.without_repetition:  # tests that share a solve still have different directions
                 along = np.zeros((len(d), len(part.distinct), *model.gradient.shape[1:]))
                 along[:, part.row[some], part.mode[some]] = own[:, some]
                 of_model = None

@@ -114,7 +114,7 @@ class ContaminatedScores:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Indices in theta of the partial correlations and of the outlier share."""
+        """Indices in theta of the partial correlations and the outlier share."""
         return (*(self.correlation.columns if self.correlation else ()), *self.of_share)
 
     @property
@@ -191,7 +191,7 @@ class ContaminatedScores:
         return np.einsum("nct,ctp->ntp", self.probabilities(theta, z), self.scales**-2.0)
 
     def probabilities(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return each test's probability of being of each kind, (n, n_kinds, n_tests), given its scores z."""
+        """Return the probability of each kind for each test, (n, n_kinds, n_tests), given its scores z."""
         terms = self._terms(theta, z).log
         return np.exp(terms - logsumexp(terms, axis=1)[:, None])
 

@@ -22,7 +22,7 @@ _MOST_ROUNDS, _SETTLED = 50, 0.01
 _ROUGH = 0.01
 _STEP = 1e-4
 _MAY_VANISH = 0.1
-"""A population may have zero variance if its smallest probable variance is below this, relative to the typical."""
+"""A population may have zero variance if its smallest probable variance is below this share of the typical one."""
 _LEAST_SD = 1e-3
 """Smallest standard deviation of a population in the search, relative to its start value."""
 

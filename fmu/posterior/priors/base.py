@@ -51,7 +51,7 @@ class Prior(ABC):
 
     @property
     def support(self) -> tuple[float, float]:
-        """The interval outside which the density is zero."""
+        """Interval outside which the density is zero."""
         return -np.inf, np.inf
 
     @abstractmethod
@@ -142,13 +142,13 @@ class Normal(Prior):
         return GaussianForm(self.mean, self.sd)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density, eq. (6) with (7)."""
+        """Return the normalised log-density at each x, eq. (6) with (7)."""
         with np.errstate(over="ignore"):
             z = (x - self.mean) / self.sd
             return -0.5 * z * z - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density, −α (x − mean)."""
+        """Return the derivative of the log-density at each x, −α (x − mean)."""
         with np.errstate(over="ignore"):
             return -(x - self.mean) / self.sd**2
 
@@ -185,7 +185,7 @@ class Normal(Prior):
         return self.mean, self.sd
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the interval within four standard deviations of the densest point, and within the bounds."""
+        """Return the part of the bounds within four standard deviations of the densest point."""
         densest = min(max(self.mean, lower), upper)
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
@@ -201,11 +201,11 @@ class Uniform(Prior):
     needs_bounds: ClassVar[bool] = True
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return 0; `log_mass` contains the normalisation."""
+        """Return 0 at each x; `log_mass` contains the normalisation."""
         return np.zeros_like(x)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return 0."""
+        """Return 0 at each x, because the density is constant."""
         return np.zeros_like(x)
 
     def log_mass(self, lower: float, upper: float) -> float:
@@ -221,11 +221,11 @@ class Uniform(Prior):
         return rng.uniform(lower, upper, size=n)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the lower bound and the width."""
+        """Return the lower bound and the width as offset and scale."""
         return lower, upper - lower
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the bounds."""
+        """Return the bounds, between which a reduced model must be accurate."""
         return lower, upper
 
     def as_dict(self) -> dict[str, Plain]:

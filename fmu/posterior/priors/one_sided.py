@@ -44,15 +44,15 @@ class HalfNormal(Prior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """The interval from `at` to infinity."""
+        """Interval from `at` to infinity."""
         return self.at, np.inf
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density."""
+        """Return the normalised log-density at each x."""
         return np.where(x >= self.at, self.gaussian.log_pdf(x) + np.log(2.0), -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density, −(x − at)/sd²."""
+        """Return the derivative of the log-density at each x, −(x − at)/sd²."""
         return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
@@ -128,17 +128,17 @@ class LogNormal(Prior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """The positive numbers; the density vanishes at 0."""
+        """Interval from 0 to infinity; the density vanishes at 0."""
         return 0.0, np.inf
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density."""
+        """Return the normalised log-density at each x."""
         with np.errstate(divide="ignore", invalid="ignore"):
             log_x = np.log(x)
             return np.where(x > 0.0, self.gaussian.log_pdf(log_x) - log_x, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density, −(1 + z/sigma)/x."""
+        """Return the derivative of the log-density at each x, −(1 + z/sigma)/x."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 

@@ -28,22 +28,22 @@ class InvertedPrior(Prior):
 
     @abstractmethod
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return the distribution function F at x."""
+        """Return the distribution function F at each x."""
 
     @abstractmethod
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return the survival function 1 − F at x."""
+        """Return the survival function 1 − F at each x."""
 
     @abstractmethod
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the quantiles F⁻¹(p)."""
+        """Return the quantile F⁻¹(p) for each probability p."""
 
     @abstractmethod
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantiles, at which 1 − F equals p."""
+        """Return the upper quantile, at which 1 − F equals p, for each p."""
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the probability between two bounds; ``-inf`` if the probability underflows."""
+        """Return the log-probability between two bounds, or ``-inf`` if the probability underflows."""
         with np.errstate(all="ignore"):
             return float(np.log(self._mass(lower, upper)))
 
@@ -114,11 +114,11 @@ class ScaledBeta(InvertedPrior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """The interval from `low` to `high`."""
+        """Interval from `low` to `high`."""
         return self.low, self.high
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density."""
+        """Return the normalised log-density at each x."""
         t, s = self._parts(x)
         with np.errstate(all="ignore"):
             value = xlogy(self.a - 1.0, t) + xlogy(self.b - 1.0, s) + self._constant
@@ -138,15 +138,15 @@ class ScaledBeta(InvertedPrior):
         return betainc(self.a, self.b, np.clip(self._parts(x)[0], 0.0, 1.0))
 
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return the survival function 1 − F at x."""
+        """Return the survival function 1 − F at each x."""
         return betainc(self.b, self.a, np.clip(self._parts(x)[1], 0.0, 1.0))
 
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the quantiles F⁻¹(p)."""
+        """Return the quantile F⁻¹(p) for each probability p."""
         return np.asarray(self.low + (self.high - self.low) * betaincinv(self.a, self.b, p))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantiles, at which 1 − F equals p."""
+        """Return the upper quantile, at which 1 − F equals p, for each p."""
         return np.asarray(self.high - (self.high - self.low) * betaincinv(self.b, self.a, p))
 
     def as_dict(self) -> dict[str, Plain]:
@@ -154,7 +154,7 @@ class ScaledBeta(InvertedPrior):
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
     def _parts(self, x: Any) -> tuple[FloatArray, FloatArray]:
-        """Return t and 1 − t, each without cancellation near its zero."""
+        """Return t and 1 − t at each x, both without cancellation near their zeros."""
         width = self.high - self.low
         return np.asarray((x - self.low) / width), np.asarray((self.high - x) / width)
 
@@ -204,18 +204,18 @@ class ScipyPrior(InvertedPrior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """The support of the distribution."""
+        """Support of the distribution."""
         low, high = self.distribution.support()
         return float(low), float(high)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density."""
+        """Return the normalised log-density at each x."""
         with np.errstate(all="ignore"):
             value = self.distribution.logpdf(x)
         return np.where(value < np.inf, value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density by finite differences."""
+        """Return the derivative of the log-density at each x, by finite differences."""
         low, high = self.support
         with np.errstate(all="ignore"):
             centre = np.clip(x, low + _EDGE * self._spread, high - _EDGE * self._spread)
@@ -228,19 +228,19 @@ class ScipyPrior(InvertedPrior):
             return np.where(np.isfinite(slope) & np.isfinite(self.log_pdf(x)), slope, np.nan)
 
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return the distribution function F at x."""
+        """Return the distribution function F at each x."""
         return self.distribution.cdf(x)
 
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return the survival function 1 − F at x."""
+        """Return the survival function 1 − F at each x."""
         return self.distribution.sf(x)
 
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the quantiles F⁻¹(p)."""
+        """Return the quantile F⁻¹(p) for each probability p."""
         return np.asarray(self.distribution.ppf(p))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantiles, at which 1 − F equals p."""
+        """Return the upper quantile, at which 1 − F equals p, for each p."""
         return np.asarray(self.distribution.isf(p))
 
     def as_dict(self) -> dict[str, Plain]:

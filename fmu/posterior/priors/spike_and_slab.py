@@ -53,29 +53,29 @@ class SpikeAndSlab(InvertedPrior):
             raise ArgumentError("spike", f"must be narrower than the slab, sd {self.sd}", self.spike)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density."""
+        """Return the normalised log-density at each x."""
         spike, slab = (Normal(sd, mean=self.mean).log_pdf(x) for sd in (self.spike, self.sd))
         return np.asarray(np.logaddexp(spike + np.log1p(-self.share), slab + np.log(self.share)))
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density."""
+        """Return the derivative of the log-density at each x."""
         p = self.of_slab(x)
         return -(x - self.mean) * (p / self.sd**2 + (1.0 - p) / self.spike**2)
 
     def of_slab(self, x: FloatArray) -> FloatArray:
-        """Return the probability that a value comes from the slab."""
+        """Return the probability that each value x comes from the slab."""
         with np.errstate(over="ignore"):
             z = (np.asarray(x) - self.mean) / self.spike
             ratio = 0.5 * z * z * (1.0 - (self.spike / self.sd) ** 2)
         return np.asarray(expit(ratio + np.log(self.spike / self.sd) + logit(self.share)))
 
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return the distribution function F at x."""
+        """Return the distribution function F at each x."""
         z = np.asarray(x) - self.mean
         return self.share * ndtr(z / self.sd) + (1.0 - self.share) * ndtr(z / self.spike)
 
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return the survival function 1 − F at x."""
+        """Return the survival function 1 − F at each x."""
         return self.cdf(2.0 * self.mean - np.asarray(x))
 
     def ppf(self, p: FloatArray) -> FloatArray:
@@ -90,7 +90,7 @@ class SpikeAndSlab(InvertedPrior):
         return np.asarray(self.mean + 0.5 * (low + high))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantiles, at which 1 − F equals p."""
+        """Return the upper quantile, at which 1 − F equals p, for each p."""
         return 2.0 * self.mean - self.ppf(p)
 
     def as_dict(self) -> dict[str, Plain]:

@@ -1,4 +1,4 @@
-"""The reduced model of a problem: its tolerance, the region in which it must be accurate, and its training.
+"""A problem's reduced model: its tolerance, the region in which it must be accurate, and its training.
 
 Reading order: tolerance, region, train_reduced.
 """

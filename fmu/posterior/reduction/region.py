@@ -90,8 +90,8 @@ def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
 def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return the limits of a box that contains all plausible points, or None if the box `trained` is large enough.
 
-    The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the posterior lies outside it,
-    estimated with draws from the Laplace approximations at the maxima.
+    Each limit has the shape (n,). The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the
+    posterior lies outside it, estimated with draws from the Laplace approximations at the maxima.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
     maxima = local_maxima(problem, starts=8)

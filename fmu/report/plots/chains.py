@@ -81,7 +81,7 @@ def _say_above(axes: Axes, x: float, words: str, side: Literal["center", "right"
 
 
 def _compare(axes: Axes, value: float) -> None:
-    """Draw a reference value and extend the axes to include it."""
+    """Add a dotted line at a reference value and extend the axes to include it."""
     low, high = axes.get_ylim()
     axes.axhline(value, color=style.BLACK, linestyle=":", linewidth=1.3)
     axes.set_ylim(min(low, value - 0.05 * (high - low)), max(high, value + 0.05 * (high - low)))

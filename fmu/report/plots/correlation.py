@@ -21,7 +21,7 @@ READABLE, FEW = 12, 6
 _CELL = 0.42
 """The smallest width of a cell in inches."""
 _SHORT = 3
-"""Number of characters of the longest label that fits below a cell."""
+"""Number of characters in the longest label that fits below a cell."""
 
 
 def plot_mac_matrix(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _OF_A_MODE = 0.28
-"""Smallest width in inches of a figure per mode."""
+"""Smallest figure width per mode, in inches."""
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ def plot_ranks_of_samplers(
 
 
 def _evenly(trace: xr.DataTree, name: str, wanted: int) -> FloatArray:
-    """Return `wanted` draws of a parameter, evenly spaced over all chains."""
+    """Return `wanted` draws of a parameter, evenly spaced over all chains, shape (wanted,)."""
     draws = array_of(trace, "posterior", name).ravel()
     return np.asarray(draws[np.linspace(0, len(draws) - 1, wanted).astype(int)])
 

@@ -49,7 +49,7 @@ _BEYOND = (0.05, 0.1)
 _CERTAIN, _FEW = 0.9, 3
 """Smallest probability of a loss stated as certain on the first screen; largest number of names in a line."""
 _UNLIKELY, _MOST_OUTLIERS = 0.05, 20
-"""Smallest probability of being an outlier of a test that is listed, and largest number of tests listed."""
+"""Smallest outlier probability of a test that is listed, and largest number of tests listed."""
 _STEPS = (0.1, 0.5, 0.9)
 _SCALE = (
     ("#C8C8C8", "below 10 %"),

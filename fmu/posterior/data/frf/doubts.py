@@ -28,7 +28,7 @@ _OF_FIRST = 0.4
 _FEWEST_LINES, _LEAST_RATIO = 5, 1.3
 """Smallest number of lines for the slope, and smallest ratio of their highest to their lowest frequency."""
 _WHOLE = 0.3
-"""Largest distance of a slope from a whole number; any other slope is inconclusive."""
+"""Largest distance between a slope and an integer; beyond it the slope is inconclusive."""
 _CLEAR = 0.5
 """Smallest modulus of the mean phase at resonances, which is 1 if all of them agree."""
 _STANDS_OUT = 4.0
@@ -93,7 +93,7 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return a sentence if the slope below the first resonance or the phase at resonances fits another kind."""
+    """Return a warning, in a list, if the low-frequency slope or the phase at resonances fits another kind."""
     signs = _signs(spectra, k)
     if signs is None or (signs.slope_fits(k) and signs.phase_fits(k)):
         return []
@@ -152,7 +152,7 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
 
 
 def _power_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return a sentence for each driving point at which the force seems to extract power."""
+    """Return one sentence for each driving point at which the force seems to extract power."""
     other = "" if k == 1 else f", or if it is {'a receptance' if k else 'an accelerance'}, say so by its kind"
     told = []
     for i in np.flatnonzero(spectra.at_drive).tolist():
@@ -181,7 +181,7 @@ def _power_doubts(spectra: Spectra, k: int) -> list[str]:
 
 
 def _reciprocal_doubts(spectra: Spectra) -> list[str]:
-    """Return a sentence for each pair of reciprocal FRFs that differ by more than their errors explain."""
+    """Return one sentence for each pair of reciprocal FRFs that differ by more than their errors explain."""
     row = {pair: i for i, pair in enumerate(spectra.axes)}
     values, told = spectra.receptance * spectra.signs, []
     for (response, drive), i in row.items():

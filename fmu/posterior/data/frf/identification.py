@@ -22,7 +22,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.types import Dof, FloatArray
 
 _EVEN = 1e-3
-"""Largest deviation of a line from even spacing, in spacings."""
+"""Largest deviation from even spacing of the lines, in spacings."""
 _ORDERS_OF_A_MODE, _LEAST_ORDER, _LINES_OF_AN_ORDER = 4, 20, 4
 _FEWEST_LINES = 40
 _WIDTHS = 2.0
@@ -119,7 +119,7 @@ def _check_lines(f: FloatArray) -> None:
 
 
 def _width(f: FloatArray, peaks: Peaks) -> FloatArray:
-    """Return the distance in Hz from each resonance within which a pole belongs to it."""
+    """Return the distance in Hz from each resonance within which a pole belongs to it, shape (n_peaks,)."""
     spacing = (f[-1] - f[0]) / (len(f) - 1)
     return _WIDTHS * np.fmax(spacing, peaks.damping * peaks.frequencies_hz)
 

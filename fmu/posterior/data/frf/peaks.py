@@ -117,7 +117,7 @@ class _Peak(NamedTuple):
     shape: ComplexArray
 
     def is_same(self, other: _Peak) -> bool:
-        """Return True if another peak is close and has a similar shape, so that both belong to the same mode."""
+        """Return True if another peak is close and has a similar shape, so that both belong to one mode."""
         wide = _WIDTHS * np.nan_to_num(max(self.damping, other.damping)) * self.omega
         return bool(abs(self.omega - other.omega) < wide and abs(np.vdot(self.shape, other.shape)) ** 2 > 0.5)
 
@@ -186,7 +186,7 @@ def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, d
 
 
 def fill_gaps(spectra: Spectra) -> ComplexArray:
-    """Return the receptances with missing values interpolated between the adjacent lines."""
+    """Return the receptances, (n_frfs, n_lines), with gaps interpolated between the adjacent lines."""
     filled = spectra.receptance.copy()
     for row in filled:
         missing = np.isnan(row)

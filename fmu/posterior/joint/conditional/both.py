@@ -153,7 +153,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
 
 
 def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return the most probable prior standard deviations of the scores at theta; see `Linear.scales`."""
+    """Return the most probable prior sds of the scores at theta, (1, n_tests, p) or (1, 1, 1)."""
     outliers = plain.layout.outliers
     return REGULAR if outliers is None else outliers.likeliest_scales(theta, Scores.of(plain.layout).take(theta))
 

@@ -84,7 +84,7 @@ class DateOfEvent:
         ramps = distinct[1:, None] - RAMP * np.diff(distinct)[:, None] * np.linspace(1.0, 0.0, _CELLS + 1)
         self._edges = np.append(distinct[0], ramps.ravel())
         self._middles, self._widths = 0.5 * (self._edges[1:] + self._edges[:-1]), np.diff(self._edges)
-        # of the first test after the date
+        # loss share in the first test after the date, for each interval
         self._share = np.append(1.0, 1.0 - (np.arange(_CELLS) + 0.5) / _CELLS)
         every = [parameters[k] for k in (date, *losses)]
         self._prior, self._columns = JointPrior(every), np.append(date, losses)
@@ -157,7 +157,7 @@ class DateOfEvent:
         c = c - 0.5 * np.einsum("ntij,i,j->nt", H, about, about)
         b = b + np.einsum("ntij,j->nti", H, about)
         c, b, H = (sum_by_test(one, self._time_of, n_times) for one in (c, b, H))
-        c = c - none  # with the loss relative to without it
+        c = c - none  # with the loss, relative to the evidence without it
         c, b, H = (self._after(one, power) for power, one in enumerate((c, b, H)))
         c = c + none.sum(axis=1)[:, None]
         H = H + np.eye(len(j)) / _SD**2

@@ -32,7 +32,7 @@ from fmu.types import BoolArray, FloatArray
 _FEWEST = 2
 """Number of tests of a population that is too small for candidates."""
 _TESTS = 4
-"""Smallest number of tests for each of several correlated populations: with fewer the prior refuses candidates."""
+"""Smallest number of tests for correlated populations: with fewer, the prior rejects nearly all candidates."""
 
 
 class Candidates(NamedTuple):
@@ -133,11 +133,11 @@ class PopulationsGivenValues:
         return np.asarray(distant.all(axis=(1, 3)))
 
     def _log_weight(self, main: FloatArray) -> FloatArray:
-        """Return log w, defined in the module docstring, shape (n, n_blocks)."""
+        """Return the log acceptance weight log w, defined in the module docstring, shape (n, n_blocks)."""
         p = self._centres.shape[1]
         c, s, rho = main[..., :p], main[..., p : 2 * p], main[..., 2 * p :]
         found = np.log(s).sum(axis=2) + np.where(self._of_logarithm, np.log(c), 0.0).sum(axis=2)
-        # the prior is that of partial correlations: with i from 1, det R = Π (1 − ρ_ij²), and the Jacobian
+        # the prior is for partial correlations: with i from 1, det R = Π (1 − ρ_ij²), and the Jacobian
         # determinant of ρ by R is Π (1 − ρ_ij²)^(−(p−1−i)/2)
         found += (self._of_partial * np.log1p(-(rho**2))).sum(axis=2) if p > 1 else 0.0
         return found + np.stack(

@@ -24,7 +24,7 @@ from fmu.types import FloatArray, IntArray
 
 _STEP, _CURVATURE = 1e-4, 2.0
 _LEAST, _MOST = 1e-3, 1e3
-"""Limits of the unit of a population's standard deviation, relative to its typical value."""
+"""Limits of the unit for a population's standard deviation, relative to its typical value."""
 
 
 class MarginalOfMain:

@@ -17,7 +17,7 @@ from fmu.types import FloatArray
 
 _ROUNDS, _SETTLED = 12, 0.05
 _POINTS, _FEWEST = 4, 32
-"""Number of points of a round per coordinate, and the smallest number."""
+"""Number of points per coordinate in a round, and the smallest number of points."""
 _CHANGE = 4.0
 """Largest factor by which a round changes a variance, and the square of its largest step in standard
 deviations."""
@@ -48,7 +48,7 @@ class FittedNormal(NamedTuple):
 
 
 def reflect(w: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Reflect points into the box between the bounds; return them and the reflection's derivatives, ±1."""
+    """Reflect points (n, d) into the box between the bounds; return them and the reflection's derivatives ±1."""
     sign = np.where((w < lower) | (w > upper), -1.0, 1.0)
     w = np.where(w < lower, 2.0 * lower - w, np.where(w > upper, 2.0 * upper - w, w))
     return np.clip(w, lower, upper), sign

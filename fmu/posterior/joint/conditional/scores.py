@@ -21,11 +21,11 @@ from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _FAR = 6.0
-"""Largest absolute score of an expansion, in standard deviations of the population."""
+"""Largest absolute score at an expansion point, in population standard deviations."""
 REGULAR: FloatArray = np.ones((1, 1, 1))
-"""The standard deviations of the scores of tests without outliers."""
+"""Prior standard deviations of the scores without outliers."""
 _INSIDE = 1e-9
-"""Smallest distance of an expansion from the bounds of a value, relative to their distance."""
+"""Smallest distance between an expansion point and a bound, relative to the distance between the bounds."""
 
 
 class Scattering(NamedTuple):

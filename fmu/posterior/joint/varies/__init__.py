@@ -1,4 +1,4 @@
-"""The kinds of variation of a structural parameter between tests, with one module per kind."""
+"""Kinds of parameter variation between tests, with one module per kind."""
 
 from collections.abc import Sequence
 from typing import get_args

@@ -72,7 +72,7 @@ def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[st
 
 
 N_STEPS, _LARGEST, _SMALLEST = 3, 2.0, 0.05
-"""Number of steps of the random walk of log T, the largest standard deviation of one, and the smallest over it."""
+"""Number of random-walk steps in log T, the largest step sd, and the ratio of the smallest to it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
-"""Base classes: `Varies`, a kind of variation between tests, and `InTests`, a parameter as a function of theta.
+"""Base classes: `Varies` says how a parameter varies between tests; `InTests` computes its values from theta.
 
-To add a kind of variation, write a module in this folder with a subclass of `Varies` and the subclass of `InTests`
+To add a kind of variation, write a module in this folder with a subclass of `Varies` and a subclass of `InTests`
 that it returns, and add a line to the `__init__`.
 """
 
@@ -18,11 +18,11 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
 Reference = tuple[float, FloatArray]
-"""A reference of the scores of a population: its centre, and its width in each test, (n_tests,); see `Drawn`."""
+"""Reference for a population's scores: its centre, and its width in each test, (n_tests,); see `Drawn`."""
 
 
 class Role(NamedTuple):
-    """Meaning of a parameter of theta.
+    """Meaning of one parameter in theta.
 
     Attributes
     ----------
@@ -284,7 +284,7 @@ class Theta:
 
 
 class Varies:
-    """A kind of variation of a structural parameter between tests.
+    """How a structural parameter varies between tests; subclasses are the kinds of variation.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ class Covariate:
             if prior is not None:
                 columns[t] = add(Parameter(f"{name} [{test.name}]", float(values[t]), prior=prior), test.name)
         columns[~is_inferred] = columns[is_inferred][0] if is_inferred.any() else 0
-        # the mean of all tests: a missing value is at the mean of the others
+        # the mean over all tests: a missing value counts as the mean of the others
         return cls(name, values, columns, is_inferred, float(values.mean()))
 
     def at(self, theta: FloatArray) -> FloatArray:
@@ -76,7 +76,7 @@ def middle_of(given: float | Prior) -> float:
 
 
 def known_values(name: str, tests: Sequence[Test]) -> FloatArray:
-    """Return a covariate's values, or their medians, in the tests in which it is not missing."""
+    """Return a covariate's values (or medians) in the tests in which it is not missing, shape (n_known,)."""
     return np.array([middle_of(given) for test in tests if (given := test.covariates[name]) is not None])
 
 

@@ -136,7 +136,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with its standard normal scores converted to the present centring."""
+        """Return a copy of theta (n, ndim) with its standard normal scores converted to the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.family.values(z, centre, width)[0]
@@ -193,7 +193,7 @@ class Drawn(InTests):
         return np.asarray(off * blend / centre if self.family.of_logarithm else np.broadcast_to(off, blend.shape))
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return the values, the population, the scores' distribution F, and the values' derivatives."""
+        """Return the values (n, n_tests), the population, the scores' distribution F, and value derivatives."""
         found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
         return found
 

@@ -20,7 +20,7 @@ from fmu.posterior.priors.base import Prior, prior_in
 from fmu.types import FloatArray, Plain
 
 Add = Callable[[Parameter, str], int]
-"""Adds a parameter of a kind (see `fmu.posterior.joint.varies.base.Role`) to theta, and returns its index."""
+"""Adds a parameter with a kind (see `fmu.posterior.joint.varies.base.Role`) to theta, and returns its index."""
 
 
 class Evaluated(NamedTuple):

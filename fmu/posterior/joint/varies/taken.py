@@ -89,7 +89,7 @@ class Shared(Varies):
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:
-        """Return the parameter whose prior a further test's value is drawn from, or None if tests share values."""
+        """Return the parameter if each test draws its own value from its prior, or None if tests share values."""
         return None
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Taken:

@@ -18,7 +18,7 @@ from fmu.posterior.priors.base import Prior
 from fmu.types import FloatArray, Plain
 
 _FEW = 3
-"""Most parameters that the name of a common slope lists."""
+"""Largest number of parameters listed in the name of a common slope."""
 
 Slopes = Mapping[str, Mapping[str, Prior | Law | str]]
 """How parameters depend on covariates, by the names of the parameter and the covariate; see `fmu.JointProblem`."""
@@ -75,7 +75,7 @@ class Trend(Multiplied):
             corners = np.array(list(product(*zip(*ends, strict=True))))
             x = np.stack([covariate.at(end[None])[0] for end in (lower, upper)])
             middle, near = x.mean(axis=0), 0.5 * (x + x.mean(axis=0))
-            # two normal variables have rarely a product beyond 8 standard deviations: 4 of one with 2 of the other
+            # the product of two standard normal variables rarely exceeds 8: for example 4 times 2
             points = [(corners, near[0]), (corners, near[1]), (corners, middle)]
             points += [(np.mean(ends, axis=0)[None], one) for one in x]
             found = np.concatenate([effect.evaluate(b, at[None], covariate.mean).effect for b, at in points])

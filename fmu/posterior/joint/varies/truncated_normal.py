@@ -49,7 +49,7 @@ def truncated_normal_values(
 def _find_near(
     z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> BoolArray | None:
-    """Return a mask of the values that the bounds influence, or None if there is no such value."""
+    """Return a mask of the values z that the bounds influence, or None if there is no such value."""
     if np.isneginf(lower) and np.isposinf(upper):
         return None
     near = ~are_bounds_distant(z, mean, sd, lower, upper)
@@ -152,7 +152,7 @@ def _scores_near_bounds(a: FloatArray, alpha: FloatArray, beta: FloatArray) -> F
 
 
 def _log_mass(alpha: FloatArray, beta: FloatArray) -> FloatArray:
-    """Return log(Φ(β) − Φ(α)), computed in the nearer tail."""
+    """Return the log-probability log(Φ(β) − Φ(α)) between standardised bounds, computed in the nearer tail."""
     turned = alpha > 0.0
     a, b = np.where(turned, -beta, alpha), np.where(turned, -alpha, beta)
     return np.asarray(log_ndtr(b) + np.log(-np.expm1(np.minimum(log_ndtr(a) - log_ndtr(b), 0.0))))
@@ -176,7 +176,7 @@ class TruncatedFamily:
 
     @cached_property
     def _ends(self) -> FloatArray:
-        """Logarithms of the bounds."""
+        """Logarithms of the lower and upper bound, shape (2,)."""
         with np.errstate(divide="ignore"):
             return np.log([max(self.lower, 0.0), self.upper])
 

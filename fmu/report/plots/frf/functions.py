@@ -229,7 +229,7 @@ def _unwrap_phase(phase: Curve) -> Curve:
 
 
 def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
-    """Return phases shifted by multiples of 360° towards the curve `middle`, which is interpolated where NaN."""
+    """Shift phases in degrees by multiples of 360° towards the curve `middle`, interpolated where it is NaN."""
     there = np.isfinite(middle)
     if not there.any():
         return degrees
