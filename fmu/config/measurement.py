@@ -192,7 +192,7 @@ class MeasurementTable(TomlTable):
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return an error in a list if a frequency uncertainty is needed but missing; otherwise an empty list."""
+        """Return a list with an error if a frequency uncertainty is needed but missing; otherwise []."""
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]

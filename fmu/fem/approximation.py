@@ -62,7 +62,7 @@ class Approximation(ModalModel):
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and sensor shapes, with variances if the cheap model is uncertain."""
+        """Predict frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
         return self.cheap.observed(theta, gradient)
 
     def configuration(self) -> dict[str, object]:

@@ -97,11 +97,11 @@ def from_exports(
 
 
 def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> list[str]:
-    """Return a sentence in a list if the digits of the exported stiffness limit the lowest frequency at theta.
+    """Return a list with a sentence if the exported stiffness has too few digits for the lowest frequency.
 
-    The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by
-    φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative to
-    f, where r bounds |e_ij / K_ij|.
+    The list is empty if the digits suffice at theta. Errors e_ij of the entries, independent and uniform, change λ
+    by φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative
+    to f, where r bounds |e_ij / K_ij|.
     """
     K, M = model.K(theta), model.M(theta)
     try:

@@ -189,9 +189,9 @@ class _Fit:
         return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
 
     def solve(self, entry: FloatArray) -> FloatArray:
-        """Return the coefficients (n_terms, n) for entries (n_exports, n), leaving out mere rounding.
+        """Return the coefficients (n_terms, n) for entries (n_exports, n), with negligible ones set to zero.
 
-        A small coefficient is set to zero unless the exports used are then no longer reproduced.
+        A small coefficient stays if the exports used would otherwise no longer be reproduced.
         """
         used, noise = self.points.used, self.points.noise
         found = self.inverse @ entry[used]
@@ -300,7 +300,7 @@ def _refusal(
     entries: Entries,
     own: IntArray,
 ) -> ArgumentError:
-    """Return the error for a group of parameters with which no terms reproduce the exports.
+    """Return the error for a group of parameters whose effects no terms reproduce.
 
     It names the entries that are missed most by the terms that suit most entries best. If no set of terms can be
     fitted, it says which further exports are needed.

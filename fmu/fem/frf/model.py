@@ -201,7 +201,7 @@ class FRFModel:
         return np.asarray(block.coordinates(self.rows))
 
     def _damping_of(self, block: ReducedBlock) -> ProportionalDamping | GeneralDamping:
-        """Return the damping on the basis of `block`."""
+        """Return the damping projected onto the basis of `block`."""
         given = self.damping
         if not given.couples_modes:
             return ProportionalDamping(
@@ -226,7 +226,7 @@ class FRFModel:
 
 
 class _OfBlock:
-    """The FRFs of a model on another reduced block, with fixed damping parameters; see `training.Bound`."""
+    """A model's FRFs computed with another reduced block, at fixed damping parameters; see `training.Bound`."""
 
     def __init__(self, model: FRFModel, block: ReducedBlock, values: FloatArray) -> None:
         self._model, self._block, self._values = model, block, values

@@ -298,7 +298,10 @@ class ModalResponses:
 
     @staticmethod
     def _split(at: FloatArray, to: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_f sym(φ_jr φ_ks) T_fr over all FRFs f, (n, r, s), and its transpose Σ_f sym(φ_jr φ_ks) T_fs."""
+        """Return Σ_f sym(φ_jr φ_ks) T_fr over all FRFs f, (n, r, s), and its transpose Σ_f sym(φ_jr φ_ks) T_fs.
+
+        `at` and `to` are the shapes φ at the two points j and k of each FRF.
+        """
         one = 0.5 * (np.swapaxes(at * T, 1, 2) @ to + np.swapaxes(to * T, 1, 2) @ at)
         return one, np.swapaxes(one, 1, 2)
 

@@ -294,7 +294,7 @@ def _dense(matrix: Any) -> FloatArray:
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
-    """Return all eigenvalues near or below zero of a matrix from `unit_diagonal`, and at least one above.
+    """Return all near-zero and negative eigenvalues of a matrix with unit diagonal, and at least one positive.
 
     Returns
     -------
@@ -365,7 +365,7 @@ def rank(matrix: Matrix) -> int:
 
 
 def is_semidefinite(matrix: sp.csr_array) -> bool:
-    """Return True if a sparse symmetric matrix has no eigenvalue below zero, given the digits of an export."""
+    """Return True if a sparse symmetric matrix has no negative eigenvalue, within the precision of exports."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True

@@ -354,7 +354,7 @@ def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
 
 
 def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
-    """Count the nonempty rows, the only upper bound on the rank if some terms are differences of matrices."""
+    """Count the nonempty rows, which bound the rank from above even if some terms are matrix differences."""
     return int(np.sum(np.any([np.diff(term.matrix.indptr) > 0 for term in M_terms], axis=0)))
 
 

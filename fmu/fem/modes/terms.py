@@ -205,7 +205,7 @@ class ParametricMatrix:
         return value
 
     def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
+        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for quadratic forms (n, n_terms, m)."""
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         if self._general:
             return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
@@ -223,7 +223,7 @@ class ParametricMatrix:
     def contract_twice(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
         """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j, shape (n, m, n_parameters).
 
-        The forms have shape (n, n_terms, m, n_parameters).
+        The quadratic forms have shape (n, n_terms, m, n_parameters).
         """
         total = np.zeros((forms.shape[0], *forms.shape[2:]))
         for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():

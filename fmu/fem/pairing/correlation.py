@@ -120,7 +120,7 @@ def _orthonormal(shapes: FloatArray) -> FloatArray:
 
 
 def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[int, ...], ...]:
-    """Group modes by frequency: each group has two or more modes, with a relative gap below `within` to the next.
+    """Group modes with close frequencies; each group has two or more modes.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[
     Returns
     -------
     tuple of tuple of int
-        Mode indices (from 0) in each group.
+        Mode indices (from 0) in each group. Every mode is close to another mode in its group.
     """
     near = np.zeros((len(np.asarray(frequencies[0])),) * 2, dtype=bool)
     for f in map(np.asarray, frequencies):
@@ -189,7 +189,7 @@ class Correlation:
 
     @property
     def suspects(self) -> IntArray:
-        """Indices of sensors whose ECoMAC stands out, and of exchanged sensors, worst first, shape (n_suspects,).
+        """Indices of suspect sensors, worst first, shape (n_suspects,): outlying ECoMAC, or apparently swapped.
 
         Empty if there are too few sensors or modes to tell.
         """
@@ -207,7 +207,7 @@ class Correlation:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Indices of two sensors that would agree with the model if they were exchanged; empty if there are none.
+        """Indices of two sensors that appear to be swapped, since swapping them restores agreement; may be empty.
 
         They are sought separately because two bad sensors among few do not stand out from the median.
         """
@@ -221,13 +221,13 @@ class Correlation:
         return tuple(sorted(pair)) if is_explained else ()
 
     def _ecomac_exchanged(self, pair: tuple[int, ...]) -> FloatArray:
-        """Return each sensor's ECoMAC after exchanging two measured sensors, shape (n_sensors,)."""
+        """Return each sensor's ECoMAC after swapping two measured sensors, shape (n_sensors,)."""
         order = np.arange(len(self.sensors))
         order[list(pair)] = pair[::-1]
         return ecomac(self.measured[order], self.computed)
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return warnings about exchanged sensors and about the five worst other suspects."""
+        """Return warnings about swapped sensors and about the five worst other suspects."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         if self.exchanged:

@@ -74,7 +74,7 @@ class Matching:
     doubts: tuple[str, ...]
 
     def sensor(self, point: Hashable, direction: str) -> Dof:
-        """Return the (node, direction) in the model of a sensor at `point` with `direction` in the test's axes.
+        """Return the model node and direction of a sensor at `point`; `direction` is along the test's axes.
 
         Raises
         ------
@@ -268,7 +268,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a warning in a list if other alignments fit equally well; otherwise an empty list."""
+    """Return a list with a warning if other alignments fit equally well; otherwise an empty list."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"
@@ -337,7 +337,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return a phrase that says if the mirrored points would fit much better; otherwise an empty string."""
+    """Return a phrase that the mirrored points would fit, or an empty string unless they fit much better."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

@@ -27,7 +27,7 @@ class FrequencyMap(Protocol):
     The optional attributes ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and
     ``reasons`` are used as `ModalModel` describes them.
 
-    Errors of mode shapes can be used too if the model has `observed`, which returns a
+    To compare mode shapes too, the model needs `observed`, which returns a
     `fmu.fem.pairing.prediction.ModalPrediction`.
 
     Attributes
@@ -111,7 +111,7 @@ class ModalModel:
 
     @property
     def parts(self) -> tuple[ModalModel, ...]:
-        """Models of the single tests; just the model itself unless it combines several tests."""
+        """Models of the individual tests; only the model itself if it describes a single test."""
         return (self,)
 
     @property
@@ -139,7 +139,7 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return how long a user's function took at theta (n_parameters,) in seconds, or None if there is none."""
+        """Return how long a user's function took at theta (n_parameters,) in seconds; None without a function."""
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:
@@ -217,7 +217,10 @@ class ModalModel:
         return SensitivitiesByDifferences(self.frequencies_and_gradient, theta, steps)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
+        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+
+        Derivatives are included if `gradient`.
+        """
         raise NotImplementedError
 
     def configuration(self) -> Any:
@@ -256,7 +259,10 @@ class PartialModel(ModalModel):
         return frequencies[:, self._modes], gradient[:, self._modes]
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
+        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+
+        Derivatives are included if `gradient`.
+        """
         seen = self.whole.observed(theta, gradient)
         f, df = seen.frequencies[:, self._modes], seen.frequency_slopes
         phi, dphi = seen.shapes[:, self._rows][:, :, self._modes], seen.shape_slopes

@@ -123,10 +123,10 @@ class PairedBlackBox(ModalModel):
         return frequencies, gradient
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`.
+        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
 
-        Shape derivatives are central differences; so are frequency derivatives if the function returns no
-        gradient.
+        Derivatives are included if `gradient`. Shape derivatives are central differences; so are frequency
+        derivatives if the function returns no gradient.
 
         Raises
         ------

@@ -194,7 +194,7 @@ class PairedStructure(ModalModel):
         return other
 
     def kept_full(self, size: int) -> PairedStructure:
-        """Return a copy with a `why_full` that says a reduced model with `size` unknowns would not help."""
+        """Return a copy whose `why_full` explains that a reduced model with `size` unknowns would not help."""
         other = copy(self)
         other.why_full = (
             f"The full model answers: a reduced one of {size} unknowns is not accurate within these bounds, and "
@@ -223,11 +223,11 @@ class PairedStructure(ModalModel):
         return found
 
     def solve(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Solve as `modes` does, without counting the solves or changing the number of threads."""
+        """Return `modes`, without counting the solves or changing the number of threads."""
         return self.pairing.solve(self.blocks, theta, gradient, self._observed)
 
     def see(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict as `observed` does, without counting the solves or changing the number of threads."""
+        """Return `observed`, without counting the solves or changing the number of threads."""
         located = self.pairing.locate(self.blocks, theta, gradient, self._observed)
         return predict_modes(self.blocks, located, self.rows, theta, gradient)
 
@@ -241,7 +241,10 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
+        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+
+        Derivatives are included if `gradient`.
+        """
         return _solve_counted(self.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:

@@ -194,9 +194,10 @@ def predict_candidates(
 def _compare(
     psi: FloatArray, reference_size: FloatArray, seen: BlockPrediction
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), and its derivatives if shapes have them.
+    """Return the MAC between reference i and mode k, (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), and its derivatives.
 
-    With c = ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
+    The MAC has shape (n, m, k). The derivatives are None if the shapes in `seen` have none. With c = ψᵀφ and l =
+    φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
     """
     phi = np.ascontiguousarray(seen.shapes)
     length = np.sum(phi**2, axis=1)

@@ -230,7 +230,7 @@ class ShapePairing(Pairing):
     def solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
-        """Return the modes assigned by MAC among the modes of all blocks in which a reference moves."""
+        """Return the modes assigned by MAC, from all blocks in which a reference shape is nonzero."""
         solved, merged, (block, rank, column) = self._solve(blocks, theta, False, observed)
         # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
@@ -273,7 +273,7 @@ class ShapePairing(Pairing):
         return {b: self.n_candidates(blocks, b) for b in self.observe(blocks)}
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return the `Observation` of each block in which a reference moves, by block index."""
+        """Return the `Observation` of each block in which a reference shape is nonzero, by block index."""
         observed = {}
         for b, block in enumerate(blocks):
             seen = self.rows[:, block.dofs]

@@ -161,7 +161,7 @@ def place_beside(name: str) -> Path:
 
 
 def _find_program(command: Sequence[str], folder: Path) -> tuple[Path, list[ArgumentError]]:
-    """Return the program's absolute path, and an error in a list if it was not found."""
+    """Return the program's absolute path, and a list with an error if it was not found."""
     name = command[0] if command else ""
     is_path = "/" in name or os.sep in name
     try:

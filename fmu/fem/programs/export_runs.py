@@ -23,9 +23,10 @@ _CHECKED = 0.75
 
 
 def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the parameter values for unit runs: all at `UNIT`, each alone at its start, and last all in between.
+    """Return the parameter values for each unit run: all low, each alone at its starting value, all in between.
 
-    The last run is for checking: it shows whether the matrices are linear in the parameters.
+    Low values are `UNIT` times the starting values. The last run is for checking: it shows whether the matrices
+    are linear in the parameters.
     """
     low = {name: UNIT * x for name, x in start.items()}
     alone = [low | {name: x} for name, x in start.items()]

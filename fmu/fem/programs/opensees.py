@@ -291,9 +291,10 @@ _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
 
 @contextmanager
 def _alone(ops: ModuleType) -> Iterator[None]:
-    """Provide OpenSees without a model; its messages go to a file, and the last ones are added to a ValueError.
+    """In a ``with`` block, provide OpenSees without a model, and write its messages to a file.
 
-    The messages are not printed, since OpenSees warns of every singular mass matrix, which is allowed here.
+    The last messages are added to any ValueError. They are not printed, since OpenSees warns of every singular
+    mass matrix, which is allowed here.
     """
     with TemporaryDirectory() as folder:
         log = Path(folder) / "log"

@@ -195,7 +195,7 @@ class Anchors:
         return self._factors.get(a)
 
     def modes(self, count: int) -> Space:
-        """Return the space of the full model's lowest modes, `count` and a few more, at all anchor points."""
+        """Return the space spanned by full-model modes at all anchor points: the lowest `count` and a few more."""
         if self._modes is None or self._modes.size < count:
             space = Space.empty(self.block, self.shift)
             for at in self.theta:
@@ -208,9 +208,10 @@ class Anchors:
         return self._modes
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
-        """Return the anchor point that bounds K best at each theta (n, p), as an index (n,), and its α (n,).
+        """Return the index (n,) of the best bounding anchor point at each theta (n, p), and its factor α (n,).
 
-        α is not positive where no anchor point gives a bound.
+        The bound is K + s M ≥ α (K̄ + s M̄) with the matrices at the anchor point. α is not positive where no
+        anchor point gives a bound.
         """
         low, tight = self._tight(theta)
         best = np.argmax(tight, axis=0)
@@ -218,9 +219,9 @@ class Anchors:
         return best, alpha if self.proven else self._estimate_alpha(theta, best, space)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return an upper bound (n,) on the ratio between K + s M at theta (n, p) and at the first anchor point.
+        """Return γ (n,) such that K + s M at theta (n, p) is at most γ times K + s M at the first anchor point.
 
-        The bound is infinite if it is not `proven`.
+        γ is infinite if the bound is not `proven`.
         """
         if not self.proven:
             return np.full(len(theta), np.inf)
@@ -315,6 +316,6 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
 
 
 def _middle(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the middle (p,) of the bounds: the geometric mean if upper > 2 lower > 0, otherwise the mean."""
+    """Return the middle (p,) of the bounds: their geometric mean if upper > 2 lower > 0, otherwise arithmetic."""
     with np.errstate(invalid="ignore"):
         return np.where((lower > 0.0) & (upper > 2.0 * lower), np.sqrt(lower * upper), 0.5 * (lower + upper))

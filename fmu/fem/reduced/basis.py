@@ -180,7 +180,7 @@ class ReducedBlock(Block):
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Express rows and references in an orthonormal basis of all shapes that the block can have there."""
+        """Express sensor rows and reference shapes in an orthonormal basis of all sensor shapes of the block."""
         return compress_rows(rows, reference)
 
     def _slopes_seen(
@@ -213,7 +213,10 @@ class ReducedBlock(Block):
     def _solve_borders(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
-        """Return ∂φ, shape (n, r, m, q), given ∂K φ and ∂M φ of the same shape for q directions."""
+        """Return ∂φ, shape (n, r, m, q), from one system per mode, given ∂K φ and ∂M φ for q directions.
+
+        Both arguments have the shape of ∂φ.
+        """
         K, M = self.matrices(theta)
         slopes = np.empty(dK.shape)
         for k in range(phi.shape[2]):
@@ -281,7 +284,7 @@ Parts = tuple[FullBlock | ReducedBlock, ...]
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Express rows (q, r) and reference shapes (q, m) in an orthonormal basis of the span of the rows' columns."""
+    """Project rows (q, r) and reference shapes (q, m) onto an orthonormal basis of the rows' column space."""
     if rows.shape[0] <= rows.shape[1]:
         return rows, reference
     Q, R = np.linalg.qr(rows)

@@ -154,7 +154,7 @@ class Learner:
         self._share(self.space.V[:, known:])
 
     def share_with(self, basis: FloatArray) -> SharedResiduals | None:
-        """Return the shared residuals for a basis (n_dof, q) of part of the space, or None if there are none."""
+        """Restrict the shared residuals to a basis (n_dof, q) within the space. Return None if there are none."""
         return None if self.shared is None else self.shared.restrict(self.space.V.T @ (self.anchors.first @ basis))
 
     def _share(self, X: FloatArray) -> None:
@@ -248,7 +248,7 @@ class Learner:
 def count_needed(
     full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
 ) -> tuple[RankPairing | None, dict[int, int]]:
-    """Return the pairing as fixed ranks, or None if that is not exact, and how many modes each block needs."""
+    """Return the pairing as fixed ranks, or None if the ranks vary, and how many modes each block needs."""
     # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
     n = min(map(len, visited))

@@ -113,7 +113,7 @@ class ReducedStructure(Approximation):
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return a copy that records another tolerance outside the part of the box that matters."""
+        """Return a copy with `elsewhere` as its tolerance outside the part of the box that matters."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
@@ -127,7 +127,10 @@ class ReducedStructure(Approximation):
         return self._answer(self._solve, self._truth.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and sensor shapes at theta (n, n_parameters), with derivatives if `gradient`."""
+        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+
+        Derivatives are included if `gradient`.
+        """
         return self._answer(self.cheap.see, self._truth.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:

@@ -51,7 +51,7 @@ class SharedResiduals:
 
     @classmethod
     def of(cls, block: FullBlock) -> Self | None:
-        """Return the residuals of an empty space, or None if the block is small or has many terms."""
+        """Return shared residuals for a space without vectors; None if the block is small or has many terms."""
         n_terms = len(block.K_terms) + len(block.M_terms)
         if block.size < LARGE or n_terms > _MOST_TERMS:
             return None
@@ -118,7 +118,7 @@ class SharedResiduals:
 
 
 def _add_border(form: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the symmetric form (r, r) enlarged by its last `columns` (r + q, q)."""
+    """Append columns (r + q, q), and the matching rows, to a symmetric matrix (r, r)."""
     r = len(form)
     corner = columns[r:]
     return np.block([[form, columns[:r]], [columns[:r].T, 0.5 * (corner + corner.T)]])

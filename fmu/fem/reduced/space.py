@@ -145,7 +145,7 @@ def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
 
 
 def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
-    """Return the strips of the lower triangles cut to the first `size` rows and columns."""
+    """Cut the strips of the lower triangles to the first `size` rows and columns."""
     leading: list[FloatArray] = []
     for part in rows:
         left = size - sum(of.shape[1] for of in leading)

@@ -89,7 +89,7 @@ class ClosePairs:
         return dz, dz_variance
 
     def of_eigenvalues(self, learnt: FloatArray) -> FloatArray:
-        """Return the elements of an array (n_modes,) for quantities in the unit of z, which are all except d."""
+        """Return the elements of an array (n_modes,) that belong to s and z, leaving out each d."""
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
@@ -102,7 +102,7 @@ class ClosePairs:
 
 
 def _root(d: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the expectation of √d, and h, for d with expectation `d` and variance `v`, all of one shape."""
+    """Return E[√d], and h (see the module), for d with expectation `d` and variance `v`, all of one shape."""
     h = np.sqrt(d**2 + v + _LEAST**2)
     # the second form is for negative d, without cancellation
     square = 0.5 * np.where(d >= 0.0, d + h, (v + _LEAST**2) / (h - np.minimum(d, 0.0)))

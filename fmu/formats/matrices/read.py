@@ -1,17 +1,17 @@
-"""Readers of matrices exported by finite-element programs and numerical software.
+"""Readers for matrices exported by finite-element programs and numerical software.
 
 =====================  ===============================================================================
 ``.mtx``, ``.mtx.gz``  Matrix Market; or the text that Abaqus calls ``.mtx`` (`fmu.formats.matrices.abaqus`)
 ``.npz``, ``.npy``     `scipy.sparse.save_npz`, `numpy.savez`, `numpy.save`
-``.mat``, ``.m``       MATLAB, sparse or full; also version 7.3, which is HDF5; code that is not executed
-``.h5``, ``.hdf5``     HDF5: a dataset, or a group of a sparse matrix's arrays (`fmu.formats.matrices.hdf5`)
+``.mat``, ``.m``       MATLAB, sparse or full, including version 7.3 (HDF5); code, which is not executed
+``.h5``, ``.hdf5``     HDF5: a dataset, or a group with a sparse matrix's arrays (`fmu.formats.matrices.hdf5`)
 ``.hb``, ``.rsa`` …    Harwell–Boeing, which Ansys writes with ``HBMAT`` (`fmu.formats.matrices.harwell_boeing`)
 ``.csv``               numbers separated by commas
-``.full``              Ansys, with names of the rows (`fmu.formats.matrices.ansys`)
+``.full``              Ansys, with row names (`fmu.formats.matrices.ansys`)
 ``.op4``               Nastran, binary or text (`fmu.formats.matrices.nastran.op4`)
-``.pch``, ``.dmig``,   Nastran's DMIG entries, with names of the rows; also in the bulk data, ``.bdf``,
+``.pch``, ``.dmig``,   Nastran's DMIG entries, with row names; also in the bulk data, ``.bdf``,
 ``.bdf`` …             ``.dat`` or ``.nas`` (`fmu.formats.matrices.nastran.dmig`)
-``.sti``, ``.mas``     CalculiX, with names of the rows in ``.dof`` beside it (`fmu.formats.matrices.calculix`)
+``.sti``, ``.mas``     CalculiX, with row names in the ``.dof`` file (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
 An n × 3 array in any of these files is a sparse matrix: row, column (both counted from 1) and entry, as for
