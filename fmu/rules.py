@@ -162,9 +162,7 @@ _SEQUENCES = (Sequence, tuple, list)
 _KINDS = {
     int: _Kind("a whole number", (numbers.Integral,), (bool,), _is_in_range),
     float: _Kind("a finite number", (numbers.Real,), (bool,), _is_in_range),
-    bool: _Kind(
-        "True or False", holds=lambda value, rule: type(value).__name__ == "bool"
-    ),  # includes NumPy's numbers
+    bool: _Kind("True or False", holds=lambda value, rule: type(value).__name__ == "bool"),  # NumPy's too
     str: _Kind("text", (str,), holds=lambda value, rule: "\0" not in value),
     Literal: _Kind("a word", (str, int), holds=lambda value, rule: value in get_args(rule.form)),
     Numbers: _Kind("numbers (an array or a list)", holds=_is_numeric),
