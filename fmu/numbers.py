@@ -239,7 +239,7 @@ def names_in_words(names: Sequence[str]) -> str:
 
 
 def _exponent(value: float) -> int:
-    """Return the power of ten of the first significant digit; 0 for zero."""
+    """Return the exponent of the first significant digit, as a power of ten; 0 for zero."""
     return int(f"{value:e}".partition("e")[2]) if value else 0
 
 

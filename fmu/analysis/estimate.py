@@ -1,4 +1,4 @@
-"""Estimates of a run's cost, in solves and in seconds, and of the cost of a gradient."""
+"""Estimates of a run's cost, in solves and in seconds, and of a gradient's cost."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
 
 
 def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the log of the mean of its exponential at each rung.
+    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the log of its mean exponential at each rung.
 
     The shapes are (chains, draws, rungs − 1) and (rungs − 1,).
     """
@@ -88,7 +88,7 @@ def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
     g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
     that the first three rungs are evenly spaced in s. If the model fails in part of the prior, the mean at t = 0
-    is taken over the rest, and the logarithm of that fraction of the prior is added to the integral.
+    is taken over the rest, and the log of that prior fraction is added to the integral.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))

@@ -283,6 +283,6 @@ def truncated_sd(parameter: Parameter) -> float:
 
 @cache
 def _legendre_nodes() -> tuple[FloatArray, FloatArray]:
-    """Return the quadrature nodes and weights, which are cached because computing them takes 0.1 s."""
+    """Return the quadrature nodes on [−1, 1] and their weights, cached because computing them takes 0.1 s."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     return node, weight

@@ -164,7 +164,7 @@ def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
 
 
 def eliminate(rows: FloatArray) -> FloatArray:
-    """Return a sparse basis of the span of orthonormal `rows`, by Gauss–Jordan elimination."""
+    """Return a sparse basis with the same span as the orthonormal `rows`, by Gauss–Jordan elimination."""
     rows = rows.copy()
     free = np.ones(rows.shape[1], dtype=bool)
     for i in range(len(rows)):

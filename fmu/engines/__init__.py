@@ -23,7 +23,7 @@ def engine(
     workers : int
         Number of processes on this machine. If 1, all tasks run in this process.
     cluster : str, optional
-        Address of the scheduler of a Dask cluster, ``"tcp://host:port"``. If given, the cluster runs the tasks.
+        A Dask scheduler's address, ``"tcp://host:port"``. If given, the cluster runs the tasks.
 
     Returns
     -------

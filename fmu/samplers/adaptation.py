@@ -135,7 +135,7 @@ class DualAveraging:
 
     @property
     def averaged(self) -> FloatArray:
-        """The averaged logarithm x̄, which is used after warm-up."""
+        """The averaged logarithm x̄, shape () or (chains,), which is used after warm-up."""
         smoothed: FloatArray = self.average if self.count else self.log_value
         return smoothed
 
@@ -206,7 +206,7 @@ class Learner:
 
 
 def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
-    """Return the regularised covariance of the draws of all chains, shape (ndim, ndim).
+    """Return the regularised covariance of all chains' draws, shape (ndim, ndim).
 
     Chains that lag behind, are trapped or hardly move are excluded. So are single draws with a far lower
     log-density; this loses only the far tails of the target. The covariance is shrunk towards its own diagonal

@@ -39,10 +39,11 @@ class Ensemble(Sampler):
     walkers : int
         Number of walkers; at least 8 and at least twice the number of coordinates.
     moves : str, mapping or sequence
-        "stretch", "de" (differential evolution), "snooker" or "kde" (draws from a kernel density of the other half
-        of the walkers); or a mixture: ``{"de": 0.8, "snooker": 0.2}``, ``[("de", 0.8), ("snooker", 0.2)]`` or
-        ``["de", "snooker"]`` (equal weights). One move is drawn per step. The default is "de" and "kde" with equal
-        weights. With fewer than four walkers per coordinate, too few for a kernel density, it is "de" alone.
+        "stretch", "de" (differential evolution), "snooker" or "kde" (draws from a kernel density estimated with
+        the other half of the walkers); or a mixture: ``{"de": 0.8, "snooker": 0.2}``, ``[("de", 0.8), ("snooker",
+        0.2)]`` or ``["de", "snooker"]`` (equal weights). One move is drawn per step. The default is "de" and "kde"
+        with equal weights. With fewer than four walkers per coordinate, too few for a kernel density, it is "de"
+        alone.
 
     Raises
     ------

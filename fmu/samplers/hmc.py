@@ -183,7 +183,7 @@ class HamiltonianTuner:
         self._take_step_size()
 
     def finish_learning(self) -> HamiltonianMonteCarlo:
-        """Return the settings with everything that was learnt."""
+        """Return the settings with the learnt step size, inverse mass matrix and number of steps."""
         step_size = float(self._limit_step(np.mean(self.averaging.averaged)))
         inverse_mass = self.sampler.inverse_mass
         if inverse_mass is None and self.learner.covariance is not None:
@@ -232,7 +232,10 @@ class HamiltonianTuner:
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
-        """Return the step size, at most `_LONGEST` trajectory lengths, because a flat density accepts any step."""
+        """Return the step size, at most `_LONGEST` trajectory lengths, because a flat density accepts any step.
+
+        It has the shape of `log_step_size`.
+        """
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 

@@ -43,7 +43,7 @@ class LocalKernel(ABC):
     """A local sampler bound to a density; derived kernels are frozen dataclasses too.
 
     Its state is the position, the log-density and, if the target has gradients, the gradient. Its `Info.extra`
-    contains ``n_nonfinite``, each chain's number of evaluations within the bounds that are not finite.
+    contains ``n_nonfinite``, each chain's number of non-finite evaluations within the bounds.
     """
 
     target: Target
@@ -65,7 +65,7 @@ class LocalKernel(ABC):
         kernels : sequence of kernels of this kind
             The first is this kernel. The kernels may have different settings; their targets are ignored.
         chains : int
-            Number of chains of each kernel. The array contains the chains of the first kernel, then those of the
+            Number of chains per kernel. The array contains the chains of the first kernel, then those of the
             second, and so on.
         """
 

@@ -134,7 +134,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the usual numbers of solves per step of all chains, during and after warm-up.
+    """Return the usual number of solves that one step of all chains takes, during and after warm-up.
 
     The numbers are means over the built-in cases.
     """

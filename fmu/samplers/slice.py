@@ -207,7 +207,10 @@ class SliceKernel(LocalKernel):
         return new, new_log_prob
 
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Cut the intervals at the bounds of each coordinate that only one axis moves; return both ends."""
+        """Cut the intervals at the bounds of each coordinate that only one axis moves; return left and right ends.
+
+        Both have shape (chains, axes).
+        """
         left, right = ends[0].copy(), ends[1].copy()
         if axes.ndim == 3:  # each chain has its own, oblique axes: only a single axis can be cut
             return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)

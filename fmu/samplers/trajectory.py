@@ -131,7 +131,7 @@ class ExactGradient(WithGradient):
         return Slope(log_prob, gradient, finite, np.full(len(position), self.solves_per_gradient, dtype=np.int64))
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the log-densities and their gradients; `chain` is explained in `Target.log_prob`."""
+        """Return log-densities (n,) and gradients (n, ndim); `chain` is explained in `Target.log_prob`."""
         found: tuple[FloatArray, FloatArray] = self.density.log_prob_and_grad(position)
         return found
 
@@ -313,7 +313,7 @@ class HamiltonianKernel(LocalKernel):
         return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for the chains of all `kernels`, with the median of their numbers of steps."""
+        """Return one kernel for the chains of all `kernels`, with their median number of steps."""
         inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
         return replace(
             self,

@@ -126,7 +126,7 @@ def sample(
         not repeated.
     workers : int, str or Engine
         Number of processes on this machine that advance the groups and solve the full model for the certificate;
-        or the address of the scheduler of a Dask cluster, ``"tcp://host:port"``; or an engine from `fmu.engine`.
+        or a Dask scheduler's address, ``"tcp://host:port"``; or an engine from `fmu.engine`.
     max_failure_rate : float
         The run stops when more than this fraction of the solves has failed. If 1, failures never stop the run.
     progress : bool or callable, optional

@@ -1,4 +1,4 @@
-"""Comparison of models of the same data, which are sampled first if there are no draws yet."""
+"""Comparison of models for the same data, which are sampled first if there are no draws yet."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def compare_models(
         - ``inside``: number of these modes that lie in their 90 % predictive intervals;
         - ``sum_z2``: Σ z² over these modes, where z is the prediction error in standard deviations;
         - ``elpd``, ``elpd_se``: log predictive density of these modes, and its standard error;
-        - ``p``: probability of a larger χ² of the residuals if the model is right (`fmu.diagnose`);
+        - ``p``: probability that the residuals' χ² is larger if the model is right (`fmu.diagnose`);
         - ``verdict``: whether the data contradict the model;
         - ``converged``, ``wall_s``: whether the draws have converged, and the time they took in s, including
           warm-up.

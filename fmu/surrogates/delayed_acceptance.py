@@ -49,9 +49,9 @@ def delayed_acceptance(
     min(1, w(θ′)/w(θ)),  w = p(θ)/p̂(θ),
 
     where p and p̂ are the posterior densities with the model and with the surrogate. If a solve fails, w = 0. A
-    chain's proposals are the draws of one chain of the trace, thinned to at least two autocorrelation times. They
-    are known before the first solve, so all workers can solve in parallel. An independence sampler (Tierney 1994,
-    *Ann. Stat.* 22, 1701–1762) accepts or rejects the proposals in order. It starts at a proposal drawn with
+    chain's proposals are the draws from one chain in the trace, thinned to at least two autocorrelation times.
+    They are known before the first solve, so all workers can solve in parallel. An independence sampler (Tierney
+    1994, *Ann. Stat.* 22, 1701–1762) accepts or rejects the proposals in order. It starts at a proposal drawn with
     probability proportional to w, and needs no burn-in.
 
     The limiting distribution is p, whatever the error of the surrogate, which only lowers the acceptance rate. A

@@ -24,7 +24,7 @@ CLOSE = 4.0
 
 
 class Agreement(NamedTuple):
-    """The result of comparing samplers of one posterior.
+    """Agreement between several samplers of one posterior.
 
     Attributes
     ----------

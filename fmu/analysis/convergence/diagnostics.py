@@ -336,10 +336,10 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Return an array that marks diverged trajectories; a single zero if most steps are mixture candidates.
+    """Return a mask of the Hamiltonian trajectories that diverged, or a single zero if most steps are candidates.
 
-    A diverged trajectory stays at its starting point. Candidates do not depend on that point, and their weights
-    show how well they fit the posterior.
+    A diverged trajectory stays at its starting point. A mixture's candidates do not depend on that point, and
+    their weights show how well they fit the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)

@@ -137,7 +137,7 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
 
 
 def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the variance of the overall mean, from overlapping batches of a twentieth of each chain."""
+    """Return the variance of the overall mean, from overlapping batches, each a twentieth of a chain long."""
     steps = x.reshape(len(x), -1, walkers).mean(axis=2)
     n = steps.shape[1]
     size = max(1, n // _BATCHES)
@@ -215,7 +215,7 @@ def _is_degenerate(x: FloatArray) -> bool:
 
 
 def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
-    """Return the length of the longest run of identical draws, shape (chains, walkers).
+    """Return the largest number of consecutive identical draws, shape (chains, walkers).
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatA
 
 
 def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
-    """Return the tail of a set of log-weights whose maximum is 0.
+    """Return the tail of log-weights (n,) whose maximum is 0.
 
     Raise ValueError if the tail has fewer than five weights or all its weights are equal.
     """

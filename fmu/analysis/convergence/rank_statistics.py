@@ -49,7 +49,7 @@ def rank_rhat(x: FloatArray) -> float:
 
 
 def rank_ess(x: FloatArray) -> float:
-    """Return the bulk ESS, that is the ESS of the mean of rank-normalised split chains (section 4.3)."""
+    """Return the bulk ESS: rank-normalise the split chains and take the ESS of their mean (section 4.3)."""
     return chain_ess(normal_scores(split_chains(x)))
 
 
@@ -59,7 +59,7 @@ def quantile_ess(x: FloatArray, probability: float) -> float:
 
 
 def chain_ess(draws: FloatArray) -> float:
-    """Return the ESS n/τ of the mean of chains without splitting or ranking them (section 3.2).
+    """Return the ESS n/τ of the chains' mean, without splitting or ranking them (section 3.2).
 
     Here n is the total number of draws, and the autocorrelation time τ = −1 + 2 Σ ρ_t is estimated over all chains
     by Geyer's initial monotone sequence: the sums ρ_2k + ρ_2k+1 are used up to the first that is not positive, and

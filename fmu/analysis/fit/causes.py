@@ -55,7 +55,7 @@ class Cause(NamedTuple):
     of : str
         `ORDER`, `GROUPS` or the name of a covariate.
     statistic : Statistics
-        Function that computes the statistic of sequences of scores.
+        Function that computes the statistic for sequences of scores.
     improbability : callable
         Function from the statistic and the number of tests to −log of its probability for normal scores.
     words : callable

@@ -137,7 +137,7 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
 
 
 def _levels(trace: xr.DataTree) -> tuple[float, float]:
-    """Return the level of each kind of check in `_kinds`, and the level for checks of parameter laws."""
+    """Return the significance levels: for each kind in `_kinds`, and for checks of parameter laws."""
     n = len(_kinds(trace))
     if has(trace, POPULATIONS, "score"):
         return (WITH_POPULATIONS - OF_POPULATIONS) / max(n, 1), OF_POPULATIONS

@@ -223,7 +223,7 @@ def _explained_by_others(
 
 
 def _regress_out(scores: FloatArray, k: int) -> FloatArray:
-    """Regress the scores of parameter `k` out of the scores of all other parameters."""
+    """Regress the scores of parameter `k` out of all other parameters' scores, (n_tests, n_parameters)."""
     z = scores - np.nanmean(scores, axis=0)
     by = np.nan_to_num(z[:, k])
     slopes = np.nansum(z * by[:, None], axis=0) / np.sum(by**2)

@@ -3,10 +3,9 @@
 For a parameter that does not scatter, the model gives its value in every test: one common value, a value for each
 group, or a law in the covariates. Let r be the residuals of test t, in standard deviations, and J their
 derivatives with respect to the parameter in this test, at the posterior mean. The score is s_t = −Jᵀr/|J|. It is
-the statistic of Rao's score test of whether the value in test t differs from the model (Rao 1948, *Proc. Camb.
-Phil. Soc.* 44, 50–57). It is positive if the data favour a larger value. If the model is correct, the scores are
-independent of order, groups and covariates. Their variance is nearly one, because many tests determine few
-parameters.
+Rao's score statistic for a value in test t that differs from the model (Rao 1948, *Proc. Camb. Phil. Soc.* 44,
+50–57). It is positive if the data favour a larger value. If the model is correct, the scores are independent of
+order, groups and covariates. Their variance is nearly one, because many tests determine few parameters.
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -
     known = term.channels.gain_sd > 0.0
 
     def spread(values: FloatArray) -> FloatArray:
-        """Spread values at the predicted lines over all lines, with NaN where nothing is predicted."""
+        """Spread values (..., n_predicted) over all lines, (..., n_lines), with NaN where nothing is predicted."""
         found = np.full((*values.shape[:-1], data.n_lines), np.nan)
         found[..., lines] = values
         return found

@@ -56,7 +56,7 @@ class Draws:
 
     @cached_property
     def _distinct(self) -> tuple[FloatArray, IntArray]:
-        """Model parameters of the distinct draws, and each draw's index among them."""
+        """Model parameters at distinct draws, (n_distinct, n_parameters), and the index of each draw, (n,)."""
         return distinct_rows(self.problem.layout.of_model(self.theta))
 
     @cached_property
@@ -65,9 +65,9 @@ class Draws:
         return self.problem.likelihood.observed(self._distinct[0])
 
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
-        """Return the predictive distribution of a measurement of mode `k`, given the used modes.
+        """Return the predictive distribution of mode `k`'s measurement, given the used modes.
 
-        It is the mixture, over the draws, of the distributions of the measurement. These are Gaussian, or
+        It is a mixture of one distribution per draw. These are Gaussian, or
         Student's if the measurement is the mean of tests whose scatter gives its error. The prediction is NaN if
         the problem has no error model for frequencies.
         """

@@ -216,7 +216,10 @@ def _draws(
     rng: np.random.Generator,
     n: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return about `n` draws from a mixture, its log-density, and the log-probabilities and frequencies there."""
+    """Return about `n` draws u (n, ndim) from a mixture, its log-density (n,), and the solutions at the draws.
+
+    The solutions are the log-probabilities of all problems and the frequencies, (n, n_problems + n_modes).
+    """
     u, log_q = mixture.draws(rng, n)
     solved = by_parts("importance sampling", lambda v: log_prob_of_all(problems, scaled.to_theta(v)), u)
     return u, log_q, np.concatenate(solved)
@@ -229,7 +232,10 @@ def _weigh_candidates(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
-    """Return draws from a mixture, log P of all problems, and leave-one-out results of the problems `wanted`."""
+    """Return draws u (n, ndim) from a mixture, log P of all problems there, and leave-one-out results by index.
+
+    The log-probabilities have shape (n, n_problems). Results are computed for the problems `wanted` only.
+    """
     n = len(problems)
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
     while True:

@@ -28,7 +28,7 @@ _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """Result of comparing the fraction of a run's draws around each maximum with its posterior probability.
+    """Differences between the fraction of a run's draws around each maximum and its posterior probability.
 
     Attributes
     ----------

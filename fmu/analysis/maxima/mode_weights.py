@@ -104,7 +104,7 @@ def _laplace(
 
 
 def log_shares(maxima: Sequence[Quadratic], u: FloatArray) -> FloatArray:
-    """Return the log of each maximum's fraction of Σ exp(m) at points u (n, ndim), shape (maxima, n)."""
+    """Return log(exp(m_k)/Σ exp(m)) of each maximum k at points u (n, ndim), shape (maxima, n)."""
     model = np.stack([m(u) for m in maxima])
     return np.asarray(model - logsumexp(model, axis=0))
 

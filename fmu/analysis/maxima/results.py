@@ -80,7 +80,7 @@ class PosteriorMaximum:
     curvature : str
         Source of the Hessian: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
     mean, sd : ndarray, shape (ndim,)
-        Mean and standard deviation of the part of the posterior that belongs to this maximum.
+        Mean and standard deviation over the part of the posterior that belongs to this maximum.
     log_mass : float
         Logarithm of the integral ∫ P(D|θ) P(θ) dθ over this part.
     effective_draws : float
@@ -180,7 +180,7 @@ class Maxima:
 
     @property
     def log_evidence(self) -> float:
-        """Logarithm of the total mass of the maxima, which estimates log P(D) if all maxima were found."""
+        """Log of the maxima's total mass, which estimates log P(D) if all maxima were found."""
         return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
 
     @property

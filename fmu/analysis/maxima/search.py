@@ -101,7 +101,7 @@ def find_map(
     ----------
     problem : LogDensity
     starts : int, optional
-        Number of starting points of the optimiser; see `fmu.posterior.maxima.local_maxima`. Fewer are faster but
+        Number of starting points for the optimiser; see `fmu.posterior.maxima.local_maxima`. Fewer are faster but
         may miss a maximum. The default is 256. It is 16 without derivatives, and 64 for a plain log-density and
         for a large model that is not reduced, or is reduced to 128 or more unknowns.
     seed : int

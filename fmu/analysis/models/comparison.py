@@ -1,4 +1,4 @@
-"""Comparison of models of the same data, by evidence and by predicting each mode from the others."""
+"""Comparison of models for the same data, by evidence and by predicting each mode from the others."""
 
 from __future__ import annotations
 

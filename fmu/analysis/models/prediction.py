@@ -41,8 +41,8 @@ def predict_modes(
 
     The model is solved at posterior draws. With a discrepancy each mode has its own error, as an unmeasured mode
     would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error σ, whose part common to all
-    modes is known as far as the data determine it (kind "modes"). `fmu.predict_frequencies` gives better
-    predictions of the measured modes of an unmodified structure.
+    modes is known as far as the data determine it (kind "modes"). `fmu.predict_frequencies` predicts the measured
+    modes of an unmodified structure better.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ at most the second. This probability is about the ratio of posterior to prior wi
 
 
 class Scatter(NamedTuple):
-    """Inferred scatter τ of a group of parameters between modes; relative, or in units of the starting value.
+    """Inferred scatter τ between modes for a group of parameters; relative, or in units of the starting value.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Scatter(NamedTuple):
     parameters : tuple of str
         The parameters that scatter.
     low, median, high : float
-        5 %, 50 % and 95 % quantiles of the posterior of τ.
+        5 %, 50 % and 95 % posterior quantiles of τ.
     prior_median : float
     needed : float
         Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`).

@@ -88,7 +88,7 @@ class Design:
         return Readings(first, shapes, slopes, self.candidates.groups, self.target)
 
     def frequency_sd_of(self, modes: Sequence[int]) -> FloatArray:
-        """Return the relative frequency errors of some measured modes, given by their indices."""
+        """Return the relative frequency errors of the measured modes with these indices, shape (len(modes),)."""
         return np.array([self.frequency_sd[self.modes.index(i)] for i in modes])
 
     def sd_of(self, state: State) -> FloatArray:

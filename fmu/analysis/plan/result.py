@@ -150,7 +150,7 @@ class Plan:
         return self.decision.expect(self.design.target, readings.with_sensors(self.every))
 
     def with_bounds(self) -> pd.DataFrame:
-        """Return `curve` with a column ``bound``: an upper bound on the information of any choice of that size.
+        """Return `curve` with a column ``bound``: an upper bound on the information from any choice of that size.
 
         The bound is computed for up to eight numbers of sensors and is NaN for the others. With a budget, which
         does not fix the number of sensors, it is NaN everywhere.

@@ -47,7 +47,7 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """The frequencies, or NaN if there are fewer than two draws, whose standard deviation is undefined."""
+        """`frequencies`, or NaN of shape (2, n_modes) if fewer than two draws leave the spread undefined."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 

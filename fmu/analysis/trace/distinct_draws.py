@@ -22,7 +22,7 @@ def batch_of(theta: FloatArray) -> int:
 
 
 def evaluate_in_parts(function: Callable[..., FloatArray], theta: FloatArray, *others: FloatArray) -> FloatArray:
-    """Evaluate ``function(theta, *others)`` in batches of rows, and concatenate the results."""
+    """Evaluate ``function(theta, *others)`` in batches of rows, and concatenate the results along axis 0."""
     n, batch = len(theta), batch_of(theta)
     parts = [slice(k, k + batch) for k in range(0, max(n, 1), batch)]
     return np.concatenate([function(*(x[part] for x in (theta, *others))) for part in parts])

@@ -27,7 +27,7 @@ class StoredEnsemble:
     chain : ndarray, shape (steps, walkers, ndim)
     log_prob : ndarray, shape (steps, walkers)
     accepted : ndarray, shape (walkers,)
-        Number of accepted proposals of each walker in the stored steps.
+        Each walker's number of accepted proposals in the stored steps.
     blobs : ndarray, shape (steps, walkers, ...), or None
     names : tuple of str
         The sampler's ``parameter_names``; empty if it has none.

@@ -21,11 +21,11 @@ class FailedSolves(NamedTuple):
     Attributes
     ----------
     task : int
-        Index of the group of chains.
+        Index of the chains' group.
     phase : str
         Phase of the run: "start", "warmup" or "draws".
     step : int
-        Number of steps of the phase completed by the end of the part.
+        Number of steps completed in the phase by the end of the part.
     failures : sequence of Failure
         Recorded failures (`fmu.UpdatingProblem.take_failures`).
     n_failed : int

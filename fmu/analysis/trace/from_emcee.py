@@ -154,7 +154,7 @@ class Kept:
     Attributes
     ----------
     draws, warmup : tuple of ndarray of int, shape (n,)
-        Indices of the stored steps of each ensemble.
+        Each ensemble's indices of its stored steps.
     discard : tuple of int
         Number of stored steps before the first draw of each ensemble.
     thin : int
@@ -182,7 +182,7 @@ class Kept:
         return cls(draws, tuple(np.arange(stop - min(first), stop) for stop in first), first, thin)
 
     def evaluations(self, k: int, stored: int, thin_by: int) -> tuple[IntArray, IntArray]:
-        """Return each walker's evaluation count in ensemble `k`, for every warm-up step and for every draw.
+        """Return each walker's evaluation counts in ensemble `k`, for its warm-up steps (n,) and its draws (n,).
 
         The counts add up to all evaluations: one per step, and one at the start.
         """
@@ -302,8 +302,8 @@ def _check_log_prob(
 ) -> FloatArray | None:
     """Compare the log-probability at five draws with the problem; return the frequencies found among the blobs.
 
-    They are removed from `blobs`; the result is None if `blobs` does not contain them. Raise ValueError if a
-    stored log-probability differs from the computed one.
+    The frequencies, shape (chains, draws, n_modes), are removed from `blobs`; the result is None if `blobs` does
+    not contain them. Raise ValueError if a stored log-probability differs from the computed one.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()

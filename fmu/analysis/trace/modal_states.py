@@ -48,7 +48,7 @@ def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | No
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return the parameter vectors to compare: starting point, posterior mean, and highest maximum if known."""
+    """Return the parameter vectors to compare: starting point, posterior mean, highest maximum if known."""
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
         states[MAXIMUM] = maxima[0].theta
@@ -251,7 +251,7 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return the sketch of the structure, or None without geometry or for a trace of an older version of fmu."""
+    """Return the sketch of the structure, or None without geometry or if an older version wrote the trace."""
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:
         return None

@@ -103,7 +103,7 @@ def _set_attributes(
 
 
 def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield the path and the dataset of the group and of every group within it.
+    """Yield path and dataset for the group and for every group within it.
 
     `scales` maps file addresses to the variable names of the parent groups. Without it, HDF5 would search the
     whole file for the name of the scale that an axis refers to.

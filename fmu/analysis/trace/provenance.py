@@ -72,12 +72,12 @@ def configuration(result: RunResult, density: LogDensity, start: object = None) 
 
 
 def configuration_hash(settings: object) -> str:
-    """Return the hexadecimal SHA-256 hash of the canonical JSON of `settings`."""
+    """Return the hexadecimal SHA-256 hash of `settings` as canonical JSON."""
     return hashlib.sha256(canonical_json(settings).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that affect the numbers, by name."""
+    """Return the versions of Python and all packages that affect the numbers, by name."""
     return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in PACKAGES}
 
 

@@ -1,4 +1,4 @@
-"""Gibbs sampling of posteriors with populations of parameters over several tests.
+"""Gibbs sampling for parameters that vary between tests as populations.
 
 Reading order: gibbs, main_parameters.
 """

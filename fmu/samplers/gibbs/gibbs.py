@@ -157,9 +157,10 @@ class GibbsKernel(MovesOfMain):
         return State(position, log_prob, extra={"terms": terms}), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Draw a new share of outliers; return theta, and the prior standard deviations of each test's scores.
+        """Draw outliers and their share; return theta, and the prior standard deviations of each test's scores.
 
-        The outliers are drawn given the scores, and then their share given the outliers.
+        The outliers are drawn given the scores, and then their share given the outliers. The standard deviations
+        have shape (chains, n_tests, p), and are `REGULAR` if the problem has no outliers.
         """
         outliers = self.problem.layout.outliers
         if outliers is None:
@@ -172,8 +173,9 @@ class GibbsKernel(MovesOfMain):
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Move all test scores; return theta, log-likelihood terms, fractions of moved tests, and solve counts.
 
-        Correlation times move too, and with them their populations given the values. The count includes the solve
-        for the main parameters' step.
+        The terms have shape (chains, n_terms); fractions and counts have shape (chains,). Correlation times move
+        too, and with them their populations given the values. The counts include the solve for the main
+        parameters' step.
         """
         in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
         if in_time is None:
@@ -196,7 +198,10 @@ class GibbsKernel(MovesOfMain):
         scales: FloatArray = REGULAR,
         part: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Move the scores of the tests in `part`; return theta, log-likelihood terms, fractions of moved tests."""
+        """Move the scores of the tests in `part`; return theta, log-likelihood terms and fractions of moved tests.
+
+        The terms have shape (chains, n_terms), the fractions (chains,).
+        """
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z, normal = of.scores.take(theta), of.normal_of(linear)
         walks = rng.random(z.shape[:2]) < _WALKS
@@ -221,7 +226,7 @@ class GibbsKernel(MovesOfMain):
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density terms that correlation in time adds for each test's scores, (chains, n_tests)."""
+        """Return the log-density that correlation in time adds to each test's scores, (chains, n_tests)."""
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
@@ -229,7 +234,7 @@ class GibbsKernel(MovesOfMain):
     def _move_noise(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Move the error standard deviations; return theta and the log-likelihood terms.
+        """Move the error standard deviations; return theta, and the log-likelihood terms (chains, n_terms).
 
         Each in turn takes a random walk on the logarithmic scale. The predicted modes do not change.
         """
@@ -254,7 +259,7 @@ class GibbsKernel(MovesOfMain):
 
 
 class GibbsTuner:
-    """Tuner of the step size of the main parameters' trajectories.
+    """Tuner of the step size for the main parameters' trajectories.
 
     Parameters
     ----------

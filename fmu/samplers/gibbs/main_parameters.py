@@ -1,4 +1,4 @@
-"""Steps of the main parameters of a hierarchical posterior, with the test scores marginalised.
+"""Sampling steps for the main parameters of a hierarchical posterior, with the test scores marginalised.
 
 The scores move along, so that they keep their distances from the most probable scores in units of their standard
 deviations. One solve of all tests gives the change in the approximation error, which decides whether a step is
@@ -58,7 +58,7 @@ class _Target(ExactGradient):
         self.lower, self.upper, self.ndim = marginal.lower, marginal.upper, len(marginal.lower)
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the log-densities and their gradients; `chain` is explained in `Target.log_prob`."""
+        """Return the log-densities (n,) and their gradients at `position`; see `Target.log_prob` for `chain`."""
         value, gradient, self.linear = self.marginal.log_prob_and_grad(
             position, self.theta[chain], REGULAR if self.scales is REGULAR else self.scales[chain]
         )
@@ -67,7 +67,7 @@ class _Target(ExactGradient):
 
 @dataclass(frozen=True)
 class MovesOfMain:
-    """Steps of the main parameters of a problem with populations.
+    """Sampling steps for the main parameters of a problem with populations.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class MovesOfMain:
     def move_dates(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, dict[str, AnyArray]]:
-        """Propose dates and losses of sudden events; return theta, the log-likelihood terms and statistics."""
+        """Propose dates and losses of sudden events; return theta, log-likelihood terms and statistics."""
         given, shares = self.conditionals.scores, []
         for event in self.conditionals.events:
             moved, gain = event.propose(rng, given, theta, scales)

@@ -1,4 +1,4 @@
-"""Groups of chains, which are a run's units of work, and the execution of a chunk of that work.
+"""Groups of chains, which are a run's units of work, and the function that does a chunk of that work.
 
 The chains of a group advance in lockstep with one random generator, and are tuned together. Groups are independent
 of each other. Between two chunks of work a group is plain data, so the result does not depend on which worker does
@@ -162,7 +162,10 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
 
 
 def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
-    """Return the log-densities at a group's positions, both as stored with the group and as recomputed."""
+    """Return the log-densities at a group's positions, as stored and as recomputed, each (chains,).
+
+    For an ensemble their shape is (chains, walkers).
+    """
     held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 

@@ -12,7 +12,7 @@ from fmu.types import AnyArray, FloatArray
 
 @dataclass(frozen=True)
 class Draws:
-    """The draws of one phase of a run.
+    """The draws from one phase of a run.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Steps:
-    """Consecutive steps of some of the chains.
+    """Consecutive steps taken by some of the chains.
 
     Attributes
     ----------

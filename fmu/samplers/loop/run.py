@@ -158,7 +158,7 @@ class Run:
 
     @property
     def warmup_solves(self) -> int:
-        """Number of solves of all chains in warm-up."""
+        """Number of solves in warm-up, summed over all chains."""
         return int(np.sum(self._records[WARMUP].draws(self.warmup).stats.get("n_solves", 0)))
 
     def report_end(self) -> None:

@@ -40,7 +40,7 @@ class TooManyFailuresError(RunFailedError):
 
 
 class SavedGroup(NamedTuple):
-    """Data of a group of chains as last saved.
+    """Data about a group of chains as last saved.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class SavedGroup(NamedTuple):
 
 
 class PendingGroup(NamedTuple):
-    """Data of a group of chains that is to be saved.
+    """Data about a group of chains that have yet to be saved.
 
     Attributes
     ----------
@@ -66,12 +66,12 @@ class PendingGroup(NamedTuple):
         Seconds that each phase of the run has taken so far.
     phase : str
     first : int
-        Index of the first of the `steps` in the phase.
+        Index in the phase at which `steps` begin.
     steps : Steps
     failures : list
         Points without a finite log-density that were found since the group was last saved.
     total : int
-        Number of planned steps of the phase.
+        Number of steps planned for the phase.
     """
 
     group_state: GroupState

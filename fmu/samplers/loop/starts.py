@@ -95,7 +95,7 @@ def _label(where: list[int]) -> str:
 
 
 def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
-    """Return walkers spread around `u` and reflected at the bounds; no two walkers coincide."""
+    """Return walkers spread around their starting points `u` and reflected at the bounds; same shape as `u`."""
     spread = u + BALL * rng.standard_normal(u.shape)
     spread = np.where(spread < scaled.lower, 2 * scaled.lower - spread, spread)
     return np.where(spread > scaled.upper, 2 * scaled.upper - spread, spread)

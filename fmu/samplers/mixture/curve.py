@@ -192,9 +192,10 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Fit m_k and s_k as functions of the coordinates `others`; return the gain per point, and both coefficients.
 
-    The gain is the rise in log-likelihood over a linear m_k and a constant s_k, minus the rise expected from
-    useless coefficients. It is -inf if there are too few points. The fit alternates between weighted least squares
-    for m_k and Fisher scoring for s_k (Harvey 1976, Econometrica 44, 461-465).
+    The coefficients have shape (n_features,). The gain is the rise in log-likelihood over a linear m_k and a
+    constant s_k, minus the rise expected from useless coefficients. It is -inf if there are too few points. The
+    fit alternates between weighted least squares for m_k and Fisher scoring for s_k (Harvey 1976, Econometrica 44,
+    461-465).
     """
     phi, y = features(z), z[:, k]
     in_m, in_s = select_features(others), select_features(others, linear=True)
@@ -259,7 +260,7 @@ def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
 
 
 def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Return the maximum-likelihood shape parameters of a beta distribution of points t; both NaN if extreme."""
+    """Fit a beta distribution to points t by maximum likelihood; return its shape parameters, NaN if extreme."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     mean = float(weight @ t)
     common = mean * (1.0 - mean) / max(float(weight @ (t - mean) ** 2), _TINY) - 1.0

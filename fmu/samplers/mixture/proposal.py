@@ -185,7 +185,7 @@ class Points:
         return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
 
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return the points' warped coordinates x, their log-densities in x, and their gradients in x or None."""
+        """Return the warped coordinates x (n, ndim), the log-densities in x, and the gradients in x or None."""
         log_prob = self.log_prob + warp.log_stretch(self.position)
         slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
         return warp.to_x(self.position), log_prob, slope
@@ -357,7 +357,7 @@ def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
 
 
 def _split_component(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
-    """Split the worst component in two; return the responsibilities and the list of components.
+    """Split the worst component in two; return responsibilities (components + 1, n) and the list of components.
 
     The component is split across the principal axis for which two quadratics leave the smallest residuals. Both
     halves are None in the list, because they have no quadratic yet. Return None if the component has too few

@@ -168,7 +168,7 @@ def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
 
 
 def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return z, the mean and L such that u = mean + Lz and the weighted points z have unit covariance."""
+    """Return z (n, ndim), mean and L (ndim, ndim), where u = mean + Lz and weighted z has unit covariance."""
     w = weight / weight.sum()
     mean = w @ u
     covariance = (w * (u - mean).T) @ (u - mean)
@@ -181,7 +181,7 @@ def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArr
 def coefficients(
     z: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Return the coefficients of a quadratic in standardised z, and the weighted mean squared residual.
+    """Return the coefficients of a quadratic in standardised z (n, ndim), and its weighted mean squared residual.
 
     The residual does not include the gradients. Normal equations are accurate enough, because z has unit
     covariance and `_PULL` limits their condition number to 1/_PULL².

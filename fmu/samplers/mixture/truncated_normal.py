@@ -93,7 +93,7 @@ class SequentialNormal:
         lower, upper = ((limit - self.mean) / np.diag(self.L) for limit in (self.lower, self.upper))
 
         def tilt_coordinates(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Return the μ for which z is stationary, and each truncated normal's mean minus its μ."""
+            """Return the μ (ndim,) for which z is stationary, and the truncated normals' means minus μ."""
             before = unit @ z - z
             a, b = lower - before, upper - before
             tilt, excess = np.zeros(n), np.zeros(n)
@@ -109,7 +109,7 @@ class SequentialNormal:
 def _order_coordinates(
     mean: FloatArray, covariance: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
-    """Return the coordinate order, and the expected z of each coordinate given the previous ones."""
+    """Return the coordinate order, and the expected z of each coordinate given the previous ones, both (ndim,)."""
     left, order, z = list(range(len(mean))), [], np.zeros(len(mean))
     # m and C are conditional on the coordinates taken so far, at expected values: a pivoted Cholesky factorisation
     m, C = mean.copy(), covariance.copy()
@@ -143,7 +143,7 @@ def _mean_of_cut_normal(a: float, b: float) -> float:
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the log of a standard normal's mass in [a, b], log(Φ(b) − Φ(a)), without cancellation in tails."""
+    """Return log(Φ(b) − Φ(a)), a standard normal's log mass in [a, b], elementwise and without cancellation."""
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
     # the limits may be so close together, or so far out, that there is no mass between them
@@ -153,7 +153,7 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
-    """Return quantiles of the standard normal truncated to [a, b], at probabilities `p`."""
+    """Return quantiles of the standard normal truncated to [a, b], at probabilities `p`, elementwise."""
     flip = a > 0
     low, high = np.where(flip, -b, a), np.where(flip, -a, b)
     with np.errstate(divide="ignore"):

@@ -43,11 +43,11 @@ class Points(NamedTuple):
                 array[where] = values
 
     def log_prob(self, t: FloatArray) -> FloatArray:
-        """Return log prior + t · log likelihood; at t = 0, the log-prior even where the likelihood is 0."""
+        """Return log-prior + t · log-likelihood, shape (...); at t = 0, the log-prior whatever the likelihood."""
         return self.log_prior + np.where(t > 0.0, t, 1.0) * np.where(t > 0.0, self.log_likelihood, 0.0)
 
     def gradient(self, t: FloatArray) -> FloatArray | None:
-        """Return the gradient of `log_prob` for t > 0, or None if gradients were not evaluated."""
+        """Return the gradient of `log_prob` for t > 0, shape (..., ndim), or None if there are no gradients."""
         if self.prior_gradient is None or self.likelihood_gradient is None:
             return None
         return self.prior_gradient + t[..., None] * self.likelihood_gradient
@@ -121,14 +121,14 @@ class TemperedTarget(ExactGradient):
         return self._evaluate(position, chain).log_prob(self.t[chain])
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the tempered log-densities and their gradients, for the replicas with indices `chain`."""
+        """Return the tempered log-densities (n,) and gradients (n, ndim) for the replicas with indices `chain`."""
         points, t = self._evaluate(position, chain), self.t[chain]
         gradient = points.gradient(t)
         assert gradient is not None  # the parts were made with gradients
         return points.log_prob(t), gradient
 
     def at(self, position: FloatArray) -> tuple[Points, IntArray]:
-        """Return the replicas at their positions after the step, and the number of solves per replica.
+        """Return the replicas at their positions after the step, and the solves per replica, shape (replicas,).
 
         Usually this takes no solves, because a replica ends where it started or at the point that was evaluated
         last. The exception is the coordinate-wise slice: if an interval is given up, the replica stays at the

@@ -10,7 +10,7 @@ the best choice v therefore has at most
 
 where V is the derivative of 2 value with respect to A at w. This is largest for the candidates with the largest g
 (per cost). With the b of w, g is the gradient. If some mode hardly moves the weighted sensors, w does not
-determine that mode's b; the b of a mixture of w and uniform weights then gives a tighter bound. Each step of the
+determine that mode's b; the b for a mixture of w and uniform weights then gives a tighter bound. Each step of the
 ascent gives a bound; the smallest is used.
 
 References
@@ -138,7 +138,10 @@ def _by_candidate(readings: Readings, F: FloatArray, b: FloatArray) -> FloatArra
 
 
 def _best(slope: FloatArray, price: FloatArray, amount: float, free: BoolArray) -> FloatArray:
-    """Return weights v that maximise slope·v for 0 ≤ v ≤ 1 and price·v ≤ amount; 1 for mounted candidates."""
+    """Return weights v (n_candidates,) that maximise slope·v for 0 ≤ v ≤ 1 and price·v ≤ amount.
+
+    Mounted candidates, where `free` is False, have weight 1.
+    """
     v = np.where(free, 0.0, 1.0)
     per_price = slope / np.where(free, price, 1.0)
     left = amount
@@ -150,7 +153,10 @@ def _best(slope: FloatArray, price: FloatArray, amount: float, free: BoolArray) 
 
 
 def _project(w: FloatArray, price: FloatArray, amount: float, free: BoolArray) -> FloatArray:
-    """Project w onto 0 ≤ v ≤ 1 and price·v = amount by bisection; mounted candidates get weight 1."""
+    """Project weights w (n_candidates,) onto 0 ≤ v ≤ 1 and price·v = amount, by bisection.
+
+    Mounted candidates, where `free` is False, get weight 1.
+    """
     low, high = -np.max(np.abs(w)) - 1.0, np.max(np.abs(w)) + 1.0
     scale = 1.0 / np.min(price[free])
     low, high = low * scale, high * scale
