@@ -113,7 +113,7 @@ class ReducedStructure(Approximation):
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return a copy with `elsewhere` as its tolerance outside the part of the box that matters."""
+        """Return a copy with another tolerance outside the part of the box that matters."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other

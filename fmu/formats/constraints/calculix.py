@@ -184,10 +184,7 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
 def _transform(
     found: Constraints, one: Keyword, places: Mapping[int, tuple[float, float, float]]
 ) -> dict[int, FloatArray]:
-    """Return the local axes, shape (3, 3), of each *TRANSFORM node: rectangular, or cylindrical if TYPE=C.
-
-    Axes are rows.
-    """
+    """Return each *TRANSFORM node's local axes as rows, shape (3, 3): rectangular, or cylindrical if TYPE=C."""
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:
         raise ValueError(f"{one.source} must have six coordinates (got {len(words)})")

@@ -135,7 +135,10 @@ def require_node(node: int, places: Mapping[int, tuple[float, float, float]], so
 
 
 def whole(word: str, what: str) -> int:
-    """Convert a word to int. Raise ValueError, with the description `what`, if it is not a whole number."""
+    """Convert a word to int. Raise ValueError if it is not a whole number.
+
+    `what` describes the word in the error message.
+    """
     if not (word.isdecimal() and len(word) <= 10):
         raise ValueError(f"{what} must be a whole number (got {quote(word)})")
     return int(word)

@@ -40,7 +40,7 @@ class Equation(NamedTuple):
 
 
 def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Equation:
-    """Solve Σ factor · u = 0 for the first degree of freedom; factors of repeated degrees of freedom are added.
+    """Solve Σ factor · u = 0 for the first degree of freedom; repeated degrees of freedom are combined.
 
     Raises
     ------

@@ -64,7 +64,10 @@ def read_npz(path: Path, wanted: Wanted) -> MeasuredFRFs:
 
 
 def read_mat(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs in a MATLAB or HDF5 file, read in a separate process since it may crash; see `of_arrays`."""
+    """Return the FRFs in a MATLAB or HDF5 file; see `of_arrays`.
+
+    The file is read in a separate process, because the reader may crash.
+    """
     checked_file(path, LARGEST_FILE)
     with open(path, "rb") as file:
         is_hdf5 = file.read(10).startswith(_HDF5)

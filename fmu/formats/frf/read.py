@@ -1,4 +1,4 @@
-"""Read frequency response functions from any supported file format, recognised by the file suffix."""
+"""Reads frequency response functions from any supported file format, recognised by the file suffix."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class _Element(NamedTuple):
 
 
 def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
-    """Read and sum the element matrices in a file, with the names of the rows.
+    """Read the element matrices in a file, and return their sum with row names.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ def check_indices(matrix: sp.sparray) -> None:
 
 
 def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
-    """Fill in the other triangle of a symmetric matrix that stores only one entry of each symmetric pair.
+    """Complete a symmetric matrix that stores only one entry of each symmetric pair.
 
     Raises
     ------

@@ -27,7 +27,7 @@ from fmu.types import FloatArray
 
 
 def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array in an ``.npz`` file, after checking how many arrays there are and how large.
+    """Return the shape of each array in an ``.npz`` file, after checking the number and size of the arrays.
 
     Raises
     ------

@@ -147,7 +147,7 @@ def _show_names(names: Sequence[DofName]) -> str:
 
 
 def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
-    """Expand a matrix to shape (n_dof, n_dof): its row and column i move to rows[i], and the rest is zero."""
+    """Expand a matrix to shape (n_dof, n_dof), moving its row and column i to rows[i] and filling with zeros."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 

@@ -209,7 +209,10 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
 
 
 def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:
-    """Return the degrees of freedom fixed by GRID (or GRDSET, given by `permanent`) and by the active SPC sets."""
+    """Return the degrees of freedom fixed by GRID entries and by the active SPC sets.
+
+    `permanent` are the components that GRDSET fixes by default.
+    """
     held = {node: deck.permanent.get(node, permanent) for node in deck.grids}
     for one in deck.constraints.sets("SPC", sorted(deck.held)):
         for node, which in deck.held.get(one, {}).items():

@@ -286,7 +286,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Call `read`, and re-raise any ValueError as an error in the given argument."""
+    """Call `read`; re-raise any ValueError as an error in the argument named `argument`."""
     try:
         return read()
     except ValueError as error:

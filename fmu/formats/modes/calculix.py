@@ -23,7 +23,7 @@ from fmu.formats.shown import quote
 
 
 def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
-    """Read the modes that CalculiX printed at sensors, computed with another model or to simulate a test.
+    """Read the modes that CalculiX printed at sensors, for example from another model or a simulated test.
 
     Parameters
     ----------

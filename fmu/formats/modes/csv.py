@@ -68,7 +68,7 @@ class Row(NamedTuple):
 
 
 class Campaign(NamedTuple):
-    """Tests in a campaign table.
+    """Tests listed in a campaign file.
 
     Attributes
     ----------

@@ -92,7 +92,7 @@ Computed = tuple[FloatArray, FloatArray | None]
 
 @dataclass(frozen=True)
 class ModesFormat:
-    """Reader for one file format with modes.
+    """Reader for one mode file format.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def phase_collinearity(shapes: ArrayLike) -> FloatArray:
 
 
 def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatArray, FloatArray]:
-    """Convert complex mode shapes to real shapes, by rotating each to its largest real part.
+    """Convert complex mode shapes to real ones, rotating each so that its real part is largest.
 
     Parameters
     ----------

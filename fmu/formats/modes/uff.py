@@ -307,7 +307,9 @@ def _wrong_nodes(one: Dataset) -> list[str]:
 def read_datasets(
     path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]
 ) -> list[Dataset]:
-    """Read the datasets of the given types; `what` says in messages what they contain.
+    """Read the datasets of the given types.
+
+    `what` names their content in error messages.
 
     Raises
     ------

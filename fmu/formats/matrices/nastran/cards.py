@@ -1,4 +1,7 @@
-"""Reader for Nastran bulk data entries: small, large and free fields, with continuations."""
+"""Reader for Nastran bulk data entries: small, large and free fields, with continuations.
+
+The argument `what` of the field parsers names the value in error messages.
+"""
 
 from __future__ import annotations
 
