@@ -40,8 +40,9 @@ def with_discrepancy(text: str, variant: str) -> str:
         The content of a valid problem file.
     variant : str
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred relative error common to all frequencies;
-        ``"modes"``, such errors with a correlated part; ``"embedded"`` and ``"embedded-by-group"``, scatter of the
-        parameters over the modes. A ``[[discrepancy]]`` table of the same kind in the file keeps its other keys.
+        ``"modes"``, errors of this kind with a correlated part; ``"embedded"`` and ``"embedded-by-group"``,
+        scatter of the parameters over the modes. A ``[[discrepancy]]`` table of the same kind in the file keeps
+        its other keys.
     """
     import tomlkit
 

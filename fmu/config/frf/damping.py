@@ -86,7 +86,7 @@ def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ParameterTable]:
-    """Return the structural parameters, which are those that no damping table refers to."""
+    """Return the structural parameters: all parameters that no damping table refers to."""
     named = {name for _, name in names_in(damping)}
     return [table for table in parameters if table.name not in named]
 

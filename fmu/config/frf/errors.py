@@ -88,7 +88,7 @@ class FRFTable(Declared):
     sd: Positive | None = None
     """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
     scale: Literal["linear", "log"] = "linear"
-    """Whether the errors are those of H, or of log H, that is of log-amplitude and phase."""
+    """Whether the errors are errors of H, or of log H, which are errors of log-amplitude and phase."""
     model_sd: Deviation = 0.0
     """Standard deviation of the model error relative to |H|, or the name of a noise to be inferred."""
     gain_sd: ByChannel = 0.0

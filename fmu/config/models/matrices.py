@@ -182,7 +182,7 @@ class MatricesTable(ModelTable):
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
         """Expand the matrices to their common degrees of freedom, and return them with the names of these.
 
-        If the files name their degrees of freedom, a matrix may omit those at which it is zero. Degrees of freedom
+        If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom
         are removed if all matrices are zero there, or if Abaqus marks them as fixed by a stiffness of 1e36.
         """
         rows = [one.matrix.shape[0] for one in read]

@@ -1,6 +1,6 @@
 """``[model] type = "opensees"``: a Python file whose function ``build(theta)`` creates the model with openseespy.
 
-Loading such a problem file runs the code in the Python file.
+Loading this kind of problem file runs the code in the Python file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """``[model] type = "python"``: a user's function, as described in `fmu.fem.black_box`.
 
 ``function = "module:function"`` is searched for in ``module.py`` (or the package ``module/``) in the folder of the
-TOML file, then among the installed modules. Loading such a file runs the code that it names.
+TOML file, then among the installed modules. Loading this kind of problem file runs the code that it names.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ of a few exports therefore determine the terms K_k of
 
     K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
 
-by least squares, entry by entry. The powers are those of the smallest set of terms that reproduces every export. A
+by least squares, entry by entry. The powers belong to the smallest set of terms that reproduces every export. A
 length or Poisson's ratio is refused, because the entries are not sums of its powers. Parameters may multiply one
 another, as do E and t of one plate.
 """

@@ -193,8 +193,8 @@ def changed_elements(model: SeparableModel) -> BoolArray:
 
     An element with two free ends is changed by a parameter if a term with that parameter couples the ends. An
     element with a fixed end is changed if the forces of the term at the other end are not in equilibrium under a
-    rigid translation of the structure. For such an element, mass terms count only for parameters that change no
-    stiffness.
+    rigid translation of the structure. For this kind of element, mass terms count only for parameters that change
+    no stiffness.
 
     Raises
     ------

@@ -81,7 +81,7 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
 def _lowest_motions(
     model: SeparableModel, matrix: sp.csr_array, theta: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the motions of zero and of negative energy of a symmetric matrix, shapes (n_dof, n).
+    """Return the motions with zero and with negative energy xᵀ A x for a symmetric A, each (n_dof, n).
 
     If the matrix is K at `theta` (n_parameters,), the factors of large blocks are stored for the first solve.
     """
@@ -289,7 +289,7 @@ def _length(model: SeparableModel) -> float:
 
 
 def _sizes(model: SeparableModel) -> FloatArray:
-    """Return scale factors (n_dof,) that make a rotation as large as the translation it causes at a distance."""
+    """Return scale factors (n_dof,): 1 for translations, and the structure's length in m for rotations."""
     length = _length(model)
     return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
 

@@ -186,7 +186,7 @@ class Block:
             if of.is_curved:
                 total += of.contract_twice(theta, np.einsum("nsmp,nksm->nkmp", y, products[of_mass]))
             found += value * total if of_mass else -total
-        # the terms with ∂λ, and those of the length
+        # the terms with ∂λ, and the terms from the length
         rest = np.einsum("nmp,nsmp->nsm", slope, y) - np.einsum("nmp,nsmp->nsm", along, turned)
         masses = self._M_map.coefficients(theta)
         pulled = self._sum_products(masses[:, :, None, None] * rest[:, None], True)

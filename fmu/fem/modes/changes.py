@@ -106,7 +106,7 @@ def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
 
 
 def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
-    """Return terms that depend only on the `kept` parameters; the others are fixed at `at` (1, n_parameters)."""
+    """Return terms that depend only on the parameters `kept`; the others are fixed at `at` (1, n_parameters)."""
     gone = [j for j in range(at.shape[1]) if j not in kept]
     found = []
     for term in terms:

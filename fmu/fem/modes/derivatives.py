@@ -18,7 +18,7 @@ about 10⁶ times λ. A basis with a relative error ε in frequency gives shapes
 
 Second derivatives of an eigenvalue contain these rotations and are of the order of λ²/δλ. Between eigenvalues
 closer than `CLOSE` the rotation is omitted there, because rounding may exceed it; the steps of samplers are far
-longer than such a gap.
+longer than this gap.
 """
 
 from __future__ import annotations

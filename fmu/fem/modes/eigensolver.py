@@ -265,7 +265,7 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count:
 def _polish(
     S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Rayleigh quotients and mass-normalised vectors of the space of X.
+    """Return the Rayleigh quotients and mass-normalised vectors of the space that X spans.
 
     The columns of X start with the lowest mode. The inverse problem gives high modes less accurately; they are
     replaced by the Ritz vectors of their span.

@@ -345,7 +345,7 @@ class SeparableModel:
         return seen
 
     def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
-        """Yield the node row, the direction and the weights by degree of freedom of each motion of a node."""
+        """Yield (node row, direction, weights) for each node's motions; weights are keyed by index in `dofs`."""
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
             if node in row_of:

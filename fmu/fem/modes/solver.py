@@ -1,6 +1,6 @@
 """Factorisation of symmetric matrices by four solvers with a common protocol.
 
-LAPACK factorises dense matrices, and definite matrices with a narrow band, such as those of beams, bridges and
+LAPACK factorises dense matrices, and definite matrices with a narrow band, as for beams, bridges and
 towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
 in Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), otherwise by SuperLU, which comes with
 SciPy. PARDISO is meant for 10⁵ degrees of freedom and more. From `LARGE` rows on it uses as many threads as

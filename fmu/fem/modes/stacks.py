@@ -33,8 +33,8 @@ def assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
 def lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the lowest modes of K φ = λ M φ where they are easily found; NaN where the general solver is needed.
 
-    The method is that of `fmu.fem.modes.eigensolver`, without its care for free structures, nearly singular K,
-    and modes of very different frequencies.
+    The method is the same as in `fmu.fem.modes.eigensolver`, without its care for free structures, nearly singular
+    K, and modes of very different frequencies.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ _FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
 _FEW, _ROUNDS = 8, 10
 """Number of alignments whose neighbours are tried, and the largest number of rounds."""
 _OTHERS = 600
-"""Number of rotations to start from besides those of axes; two neighbours differ by some 20°."""
+"""Number of random starting rotations; two neighbours differ by some 20°."""
 _AS_GOOD = 1.2
 """An alignment fits as well as the best if its distances are at most this many times as large."""
 _EXACT = 1e-3

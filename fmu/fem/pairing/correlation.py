@@ -43,7 +43,7 @@ LOOK_AT_SHAPES = (
 _FEWEST_SENSORS, _FEWEST_MODES = 4, 2
 _MOST_NAMED = 5
 _TRIED = 8
-"""Number of sensors, those with the largest ECoMAC, of which every two are tried in each other's place."""
+"""Number of sensors with the largest ECoMAC among which every pair is tried for a swap."""
 _DEPENDENT = 1e-8
 """Singular value of shapes of unit length below which the shapes are linearly dependent."""
 

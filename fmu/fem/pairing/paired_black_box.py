@@ -77,7 +77,7 @@ class PairedBlackBox(ModalModel):
     def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
         """Call the function once, at `start` (n_parameters,), and return its paired model.
 
-        The other arguments are those of the class.
+        The other arguments are the class's parameters.
 
         Raises
         ------

@@ -32,8 +32,8 @@ class ModalPrediction:
         Shapes at the sensors, mass-normalised, of either sign.
     frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
-    frequency_variance, shape_variance : ndarray, of the shapes of frequencies (Hz²) and shapes, or None
-        Variances of the errors of a surrogate, independent of each other; None if the model is no surrogate.
+    frequency_variance, shape_variance : ndarray, shaped like frequencies (Hz²) and shapes, or None
+        Variances of a surrogate's errors, which are independent of each other; None if it is no surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
     frequency_variance_by_noise : ndarray, shape (n, n_modes, n_noise), or None
         Derivatives with respect to inferred standard deviations, on which a discrepancy's variances depend.

@@ -345,8 +345,8 @@ class ShapePairing(Pairing):
 class SoftPairing(ShapePairing):
     """Pairing of every measured mode with every candidate, with normalised weights exp(MAC/τ).
 
-    The solver is that of `ShapePairing`, and gives the modes of the one-to-one assignment. A soft pairing is never
-    constant, because all candidates are needed everywhere.
+    The solver is the same as in `ShapePairing`, and gives the modes of the one-to-one assignment. A soft pairing
+    is never constant, because all candidates are needed everywhere.
 
     Attributes
     ----------

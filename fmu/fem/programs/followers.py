@@ -15,7 +15,7 @@ from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
 _SPARE = 2
-"""Number of load cases beyond those that determine the weights: they test whether u is a weighted sum."""
+"""Number of load cases in addition to the number of weights; they test whether u is a weighted sum."""
 _UNEXPLAINED = 1e-9
 """Largest relative error of a follower's displacement; OpenSees imposes the constraint to rounding."""
 _TAG = 987_654_321

@@ -180,7 +180,7 @@ class ReducedBlock(Block):
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Express sensor rows and reference shapes in an orthonormal basis of all sensor shapes of the block."""
+        """Express sensor rows and reference shapes in an orthonormal basis of the block's sensor shapes."""
         return compress_rows(rows, reference)
 
     def _slopes_seen(

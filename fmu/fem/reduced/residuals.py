@@ -2,8 +2,8 @@
 
 Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. Let A = K + s M, σ = μ + s and T = A⁻¹ M,
 which is self-adjoint in the inner product of A. Split the space into the span of the Ritz vectors and the
-A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most those of the
-matrix
+A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most the
+eigenvalues of the matrix
 
     diag(1/σ_i) + D G D,    G_ij = r_iᵀ A⁻¹ r_j / (σ_i σ_j)^(3/2),    D_ii = (1/σ_i − β)^(−1/2),
 

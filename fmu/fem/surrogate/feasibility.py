@@ -67,8 +67,8 @@ class Feasibility:
 def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) -> str:
     """Return a phrase that says where a model failed, by bounds that few solved points satisfy.
 
-    The regions are leaves of a decision tree of depth three: those with at least a fifth as many failures as the
-    leaf with the most failures.
+    The regions are leaves of a decision tree of depth three that have at least a fifth as many failures as the
+    worst leaf.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Constraints in CalculiX and Abaqus input decks: *EQUATION, *BOUNDARY and *TRANSFORM.
 
 CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes. If
-*TRANSFORM rotates the axes of a node, CalculiX chooses the dependent degree of freedom of an equation: the global
+*TRANSFORM rotates a node's axes, CalculiX chooses which degree of freedom an equation makes dependent: the global
 direction with the same number, or the next one along which the local axis has a component. CalculiX, *User's
 manual*. `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
 """

@@ -11,7 +11,7 @@ writes ``job_STIF1.mtx`` and ``job_MASS1.mtx``, with lines of row node, row degr
 degree of freedom, entry. A symmetric matrix may have only one entry of each pair. ``FORMAT=COORDINATE`` writes
 lines of row, column, entry, without the names of the degrees of freedom.
 
-In a step of any kind, the matrices of the elements of a set are written to ``left.mtx`` by::
+In a step of any kind, the element matrices for a set are written to ``left.mtx`` by::
 
     *ELEMENT MATRIX OUTPUT, ELSET=LEFT, STIFFNESS=YES, MASS=YES, OUTPUT FILE=USER DEFINED, FILE NAME=left
 

@@ -7,7 +7,7 @@ The step of the input deck must be::
 
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
 ``job.dof`` is ``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can
-have the name of one node. These rows are given new node ids above those in the file, and the displacement of the
+have the name of one node. These rows are given new node ids above the ids in the file, and the displacement of the
 original node is the mean over them. ``job.12d`` lists the expanded nodes. Without that file, every name that
 occurs more than once is assumed to be expanded.
 """

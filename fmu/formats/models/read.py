@@ -12,7 +12,7 @@ any other       two files of `fmu.formats.matrices.read`, names of rows
 ==============  ===========================================================  =======================
 
 A separate file with row names has lines ``node,direction``, with a direction x, y, z, rx, ry, rz or 1 to 6.
-Units are those of the program; fmu assumes SI units.
+Units are the program's; fmu assumes SI units.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class MeasuredModes:
     mpc : ndarray, shape (n_modes,), optional
         Modal phase collinearity of shapes that were complex.
     shapes_sd : ndarray, shape (n_sensors, n_modes), optional
-        Standard deviations of the shapes, in units of a shape of unit length at the sensors.
+        Standard deviations for shapes scaled to unit length at the sensors.
     """
 
     frequencies_hz: FloatArray

@@ -2,7 +2,7 @@
 
 Shapes are in dataset 55, "Data at Nodes"; node coordinates are in dataset 15 or 2411, elements in dataset 2412.
 
-The format is that of the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
+The format was defined by the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
 Formats for Modal Analysis Testing*). Its numbers have six significant digits, so frequencies and shapes are
 rounded to six digits when they are written.
 

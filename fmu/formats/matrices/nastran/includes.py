@@ -1,7 +1,7 @@
 """Reader for the lines of a Nastran deck, with each ``INCLUDE`` replaced by the included file's lines.
 
-File names may be in quotes, and a quoted name may continue over several lines. Names are relative to the folder of
-the deck or of the including file, and must lie inside the folder of the deck.
+File names may be in quotes, and a quoted name may continue over several lines. Names are relative to the folder
+that contains the deck or the including file, and must lie inside the deck's folder.
 """
 
 from __future__ import annotations

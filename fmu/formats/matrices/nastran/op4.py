@@ -6,7 +6,7 @@ The DMAP statements are::
     ASSIGN OUTPUT4='model.op4',UNIT=31,FORM=BIG64
     OUTPUT4 KGG,MGG,,,//0/31///16
 
-MYSTRAN writes such files as ``job.OU1`` to ``job.OU7``, with ``OUTPUT4 KGG,MGG,,,//-1/21`` in the executive
+MYSTRAN writes these files as ``job.OU1`` to ``job.OU7``, with ``OUTPUT4 KGG,MGG,,,//-1/21`` in the executive
 control. Its rows are in the order in which the deck defines the nodes, unless PARAM,GRIDSEQ says otherwise.
 """
 
