@@ -233,8 +233,8 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
     """Return True if a value follows a rule, the error of an entry, or False if the value itself breaks the rule.
 
-    The message with the value is made elsewhere: for an array it takes long, and a value that breaks one option of
-    a union may follow another.
+    The error message is written elsewhere, because it takes long for an array, and is not needed if the value
+    breaks one option of a union but follows another.
     """
     if rule.pick(OwnRule):
         return True
@@ -248,7 +248,7 @@ def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
 
 
 def _with_text_as_path(rule: Rule) -> Rule:
-    """Return a union without its text if it has a path, as which text is checked; another rule as it is."""
+    """Return the rule, but remove ``str`` from a union with a path, so that text is checked as a path."""
     if not any(one.origin in PATHS for one in rule.options) or rule.pick(OwnRule):
         return rule
     kinds = tuple(one for one in get_args(rule.form) if one is not str)

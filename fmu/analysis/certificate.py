@@ -171,7 +171,7 @@ def certify(
 def _terms_of_both(
     problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return each mode's log-likelihood at theta (n, ndim), by the full model and by the reduced model."""
+    """Return log-likelihoods at theta (n, ndim) by the full and the reduced model, both (n, n_modes)."""
     likelihood = problem.likelihood
     of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)
     if likelihood.by_frequencies:

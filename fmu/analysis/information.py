@@ -311,8 +311,8 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
     """Return posterior and prior draws in prior standard deviations from the prior mean, each (n, ndim).
 
     The third value is a tuple of bool: whether the logarithm of each parameter is used, as for a log-normal prior.
-    Normal scores are not used. They would magnify the region next to a bound that truncates the prior at a
-    positive density: 1 % of the range there would keep 35 % of the standard deviation.
+    Normal scores are not used, because they stretch the range next to a bound where the prior density is positive:
+    draws confined to the 1 % of the range at the bound would have 35 % of the prior's standard deviation.
     """
     names = parameter_names(trace)
     x = parameter_draws(trace).reshape(-1, len(names))

@@ -202,7 +202,7 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
 
 
 def _times(problem: UpdatingProblem) -> set[str]:
-    """Return the names of the covariates that give the times of values correlated in time."""
+    """Return the names of the covariates that contain the times of tests with values correlated in time."""
     return set() if problem.layout.in_time is None else problem.layout.in_time.times
 
 
@@ -258,7 +258,7 @@ def rank_p_value(simulated: FloatArray, measured: FloatArray) -> float:
 
 
 class _Departure(NamedTuple):
-    """The part of a new test's departure that one parameter explains."""
+    """Departure of one parameter in a new test: the score tⱼ and the parameter's relative change."""
 
     score: float
     change: float

@@ -78,7 +78,7 @@ def _item(name: str, value: str | int | float, brief: bool) -> str:
 
 
 class LineStream:
-    """Writes lines to a stream and flushes it after each line; once the stream has broken, writes nothing more."""
+    """Writes lines to a stream and flushes it after each line; after an error it writes nothing more."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream: TextIO | None = stream

@@ -56,9 +56,9 @@ class HamiltonianMonteCarlo(LocalSampler):
         Acceptance rate for which the step size is tuned; raised to at least `SHORT_STEPS` if trajectories still
         diverge at the end of warm-up.
     length : float
-        Trajectory length for which the number of steps is tuned, in standard deviations of the target. A length of
-        2 gives an effective sample size per gradient within a quarter of the best. This holds for curved
-        posteriors and for posteriors whose mass lies at a bound (where 1.5 is best). For a Gaussian without
+        Trajectory length for which the number of steps is tuned, in standard deviations of the target. With a
+        length of 2, the effective sample size per gradient is at least three quarters of the largest possible, for
+        curved posteriors and for posteriors whose mass lies at a bound (where 1.5 is best). For a Gaussian without
         bounds, 3 would be better.
     gradient : {"exact", "central-difference"}
         Gradients from the density, or by central differences as in eq. (15) of the paper.

@@ -284,7 +284,7 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
 
 
 def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
-    """Return the warm-up steps of the run in a checkpoint if it was started with `asked`; otherwise `warmup`."""
+    """Return a saved run's number of warm-up steps if that run requested `asked`; otherwise return `warmup`."""
     from fmu.durable_files import DamagedError
     from fmu.runs.identity import Identity
 
@@ -309,7 +309,7 @@ def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
 def _takes_exact_gradients(trace: xr.DataTree, problem: LogDensity, settings: Sampler) -> bool:
     """Return True if the run used exact gradients that cost more than the solves counted for them.
 
-    All solves of finite differences are counted, and a user's function returns value and gradient in one call.
+    The solves of finite differences are counted anyway. A user's function returns value and gradient in one call.
     """
     from fmu.analysis.trace.densities import is_updating
 

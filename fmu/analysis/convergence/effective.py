@@ -324,7 +324,7 @@ def _live_ess(x: FloatArray, walkers: int) -> float:
 
 
 def _rank_normalised(x: FloatArray) -> FloatArray:
-    """Return the normal scores (Blom) of all draws, each ranked among every k-th draw; same shape as `x`."""
+    """Return the normal scores (Blom) of all draws, same shape as `x`, with ranks taken in a thinned sample."""
     from scipy.special import ndtri
 
     among = np.sort(x[:, :: -(-x.shape[1] // MOST_RANKED)], axis=None)

@@ -49,9 +49,9 @@ def required_ess(chains: int) -> int:
 def without_scores(table: pd.DataFrame) -> pd.DataFrame:
     """Return a summary without the rows of test scores, which do not decide on convergence.
 
-    A test score is a test's standardised deviation from the population mean. There are many of them, and the worst
-    of many is bound to be worse. Their information is contained in the population's mean and standard deviation,
-    and in each test's structural parameters.
+    A test score is a test's standardised deviation from the population mean. There are many of them, so the worst
+    R-hat or ESS among them is poor by chance alone. Their information is contained in the population's mean and
+    standard deviation, and in each test's structural parameters.
     """
     return table[~_is_score(table)]
 

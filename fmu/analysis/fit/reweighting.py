@@ -174,7 +174,10 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
 
 
 def _log_ratios(squares: FloatArray, g: FloatArray) -> FloatArray:
-    """Return log p(τ) plus the log density ratio, (n, n_tau), for squared residuals (n, n_modes)."""
+    """Return log p(τ) + log of the likelihood with scatter τ over that without, (n, n_tau).
+
+    `squares` (n, n_modes) are squared residuals; the scatter multiplies their variances by 1 + τ² g.
+    """
     inflation = TAU[:, None] ** 2 * g
     prior = -0.5 * (TAU / PRIOR_SD) ** 2 + np.log(np.sqrt(2.0 / np.pi) / PRIOR_SD * (TAU[1] - TAU[0]))
     gained = 0.5 * squares @ (inflation / (1.0 + inflation)).T

@@ -195,7 +195,7 @@ def walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A mixture with equal weight for each posterior, divided among its Gaussians, and less for the prior."""
+    """A mixture of Gaussians and the prior; all posteriors get the same weight, and the prior less."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal

@@ -79,9 +79,9 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return the drop in a Gaussian's log-density from its peak to the ellipsoid that contains `NEARBY` of it.
+    """Return how far a Gaussian's log-density falls from its peak to the ellipsoid with probability `NEARBY`.
 
-    The drop is half of the χ² quantile.
+    This is half of the χ² quantile.
     """
     return float(gammaincinv(0.5 * theta.shape[1], NEARBY))
 
@@ -355,7 +355,10 @@ def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[Flo
 
 
 def _log_mass(theta: FloatArray, log_prob: FloatArray) -> float:
-    """Return E[log P] plus the entropy of a Gaussian with the draws' covariance; −inf for too few draws."""
+    """Estimate log ∫ P over a region from the draws in it; return −inf for too few draws.
+
+    The estimate is E[log P] plus the entropy of a Gaussian with the draws' covariance.
+    """
     if len(theta) < _FEWEST_DRAWS:
         return -np.inf
     sd = theta.std(axis=0)

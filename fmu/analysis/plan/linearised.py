@@ -131,7 +131,7 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 
 
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
-    """Linearise the test of a user's function or a surrogate, whose candidates are the sensors of its data.
+    """Linearise the test of a user's function or a surrogate; its candidates are sensors that the data contain.
 
     Raise ValueError if the test has changes, or the data lack the modes or channels.
     """
@@ -159,7 +159,7 @@ def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
 
 
 def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
-    """Convert derivatives with respect to the model parameters to derivatives with respect to ψ."""
+    """Convert derivatives with respect to the model parameters to derivatives with respect to the plan's ψ."""
     return replace(found, seen=before.at(found.kept).chain(found.seen))
 
 

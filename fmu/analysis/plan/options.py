@@ -89,7 +89,7 @@ def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.Data
 
 
 def enough_repeats(table: pd.DataFrame) -> int | None:
-    """Return the number of tests beyond which further repeats hardly reduce the sds, or None if all do."""
+    """Return the number of tests beyond which repeats hardly reduce the sds, or None if each repeat does."""
     sd = table["median_sd"].to_numpy()
     return next((int(table.index[k]) for k in range(len(sd) - 1) if sd[k + 1] > ENOUGH * sd[k]), None)
 

@@ -197,7 +197,7 @@ def of_model(model: ModalModel, theta: FloatArray, start: FloatArray) -> Sensiti
 
 
 def _complete(model: ModalModel, seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) -> Sensitivities:
-    """Return the sensitivities at the draws with all derivatives. Raise ValueError if there are none."""
+    """Return the sensitivities at the draws that have all derivatives. Raise ValueError if no draw has them."""
     assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
     assert seen.shape_slopes is not None
     parts = (seen.frequencies, seen.frequency_slopes, seen.shapes, seen.shape_slopes)

@@ -213,7 +213,7 @@ def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a random generator seeded by the run, independent of the chains' own generators.
+    """Return a random generator that depends on the run's seed, independent of the chains' own generators.
 
     Each `stream` number gives a different generator.
     """

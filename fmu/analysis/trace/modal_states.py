@@ -231,9 +231,9 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 
 
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
-    """Return the trace group of several tests that `sketch_of` reads, in a dict; empty without geometry.
+    """Return the trace group that stores the sketch of a structure with several tests, by name.
 
-    It contains the structure of the first test.
+    The dict is empty without geometry. The structure is that of the first test; `sketch_of` reads the group.
     """
     import xarray as xr
 
@@ -251,7 +251,10 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return the sketch of the structure, or None without geometry or if an older version wrote the trace."""
+    """Return the sketch of the structure, or None if the trace has none.
+
+    It has none if the model has no geometry, or if an older version of fmu wrote the trace.
+    """
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:
         return None

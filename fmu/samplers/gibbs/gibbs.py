@@ -134,7 +134,7 @@ class GibbsKernel(MovesOfMain):
         return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Move the main parameters together with the scores, then the scores, then the populations."""
+        """Move the main parameters together with the scores, then the scores alone, then the populations."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         theta, scales = self._draw_scales(rng, theta)
         theta, terms, of_dates = self.move_dates(rng, theta, state.extra["terms"], scales)
@@ -157,10 +157,10 @@ class GibbsKernel(MovesOfMain):
         return State(position, log_prob, extra={"terms": terms}), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Draw outliers and their share; return theta, and the prior standard deviations of each test's scores.
+        """Draw the outliers among the tests, and their fraction; return theta, and the scores' prior sds.
 
-        The outliers are drawn given the scores, and then their share given the outliers. The standard deviations
-        have shape (chains, n_tests, p), and are `REGULAR` if the problem has no outliers.
+        The outliers are drawn given the scores, and then their fraction given the outliers. The standard
+        deviations have shape (chains, n_tests, p), and are `REGULAR` if the problem has no outliers.
         """
         outliers = self.problem.layout.outliers
         if outliers is None:
@@ -173,9 +173,9 @@ class GibbsKernel(MovesOfMain):
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Move all test scores; return theta, log-likelihood terms, fractions of moved tests, and solve counts.
 
-        The terms have shape (chains, n_terms); fractions and counts have shape (chains,). Correlation times move
-        too, and with them their populations given the values. The counts include the solve for the main
-        parameters' step.
+        The terms have shape (chains, n_terms); fractions and counts have shape (chains,). If values are correlated
+        in time, the parameters of their populations, such as the correlation times, move too. The counts include
+        the solve for the main parameters' step.
         """
         in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
         if in_time is None:

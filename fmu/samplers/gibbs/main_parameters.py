@@ -1,8 +1,8 @@
 """Sampling steps for the main parameters of a hierarchical posterior, with the test scores marginalised.
 
-The scores move along, so that they keep their distances from the most probable scores in units of their standard
-deviations. One solve of all tests gives the change in the approximation error, which decides whether a step is
-accepted. See `fmu.samplers.gibbs.gibbs`.
+The scores move with the main parameters: each keeps its distance from its most probable value, in units of its
+standard deviation. One solve of all tests gives the change in the approximation error, which decides whether a
+step is accepted. See `fmu.samplers.gibbs.gibbs`.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class MovesOfMain:
     ) -> tuple[FloatArray, FloatArray, Linear, BoolArray]:
         """Accept or reject the main parameters of `moved` (chains, ndim) after a solve of all tests.
 
-        The scores move along.
+        The scores move with the main parameters.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class MovesOfMain:
         -------
         theta, terms : ndarray
         last : Linear
-            Score densities there.
+            Score densities at the returned theta.
         accepted : ndarray of bool, shape (chains,)
         """
         given = self.conditionals.scores

@@ -61,7 +61,7 @@ class Quadratic:
         """Return the Gaussian ∝ exp(m) truncated at the bounds, followed by one or two wider copies.
 
         The first copy is wider along all principal axes. The second is far wider, but only along axes on which the
-        density is hardly narrower than the bounds or the prior; if there are none, it is omitted. Along the other
+        density is almost as wide as the bounds or the prior; if there are none, it is omitted. Along the other
         axes it has the covariance of the fitted points, if there are any. At a copy's centre, its density is at
         least e^(-5/2) times the density of the Gaussian there.
         """

@@ -93,7 +93,7 @@ class SequentialNormal:
         lower, upper = ((limit - self.mean) / np.diag(self.L) for limit in (self.lower, self.upper))
 
         def tilt_coordinates(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Return the μ (ndim,) for which z is stationary, and the truncated normals' means minus μ."""
+            """Return the μ (ndim,) for which z is a stationary point, and the truncated normals' means minus μ."""
             before = unit @ z - z
             a, b = lower - before, upper - before
             tilt, excess = np.zeros(n), np.zeros(n)
