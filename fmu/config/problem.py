@@ -236,7 +236,6 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
     def _is_unmeasured(self, planning: bool) -> bool:
-        """Return True if a test is being planned and the file has no measurement."""
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
     def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
@@ -312,7 +311,6 @@ class ProblemFile(TomlTable):
         beta: ArrayLike | None,
         engine: Engine | None,
     ) -> UpdatingProblem:
-        """Build the joint problem of several tests."""
         from fmu.posterior.joint.joint_problem import JointProblem
 
         if beta is not None:

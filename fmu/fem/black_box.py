@@ -202,11 +202,9 @@ class BlackBoxModel:
         return changed
 
     def _describe_run(self) -> Callable[[FloatArray], object]:
-        """Return the function that gives shapes at the model's sensors."""
         return self.function
 
     def _begin_solves(self) -> Solves:
-        """Return a `Solves` object for the function, without any solves yet."""
         return Solves(self.function, self.n_parameters, batched=self.batched, store=self._store())
 
     def _store(self) -> SolveStore | None:

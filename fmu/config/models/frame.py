@@ -224,7 +224,6 @@ class _Mesh:
                 self._node_at(end)
 
     def frame(self) -> Frame:
-        """Build the frame. Raise ValueError if it is invalid."""
         table, at = self.table, self.node_of
         supports = {
             at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)

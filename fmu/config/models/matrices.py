@@ -214,7 +214,6 @@ class MatricesTable(ModelTable):
         )
 
     def _at(self, k: int) -> str:
-        """Return the location in the file of term k's matrix."""
         where, table = self._terms()[k]
         return f"{where}.{table.source}"
 

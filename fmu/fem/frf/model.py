@@ -233,7 +233,6 @@ class _OfBlock:
         self._damping, self.points = model._damping_of(block), model._at_points(block)
 
     def at(self, theta: FloatArray) -> ModalResponses | GeneralResponses:
-        """Return the responses at theta (n, n_parameters)."""
         values = np.tile(self._values, (len(theta), 1))
         return self._model._respond(self._block, self._damping, self.points, theta, values)
 

@@ -126,7 +126,6 @@ class FullBlock(Block):
         return self.modes(theta, count)
 
     def _count_with_further(self, count: int) -> int:
-        """Return how many modes to compute when `count` modes are requested."""
         return min(count + _FURTHER, self.n_modes) if self.size >= LARGE and count else count
 
     def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
@@ -363,7 +362,7 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return the products ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes φ (size, m)."""
+    """Return ∂K/∂theta_j φ for the matrix K given by `terms`, (m, size, n_parameters), for shapes φ (size, m)."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 

@@ -258,9 +258,10 @@ class Solves:
             yield
 
     def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
-        """Call at points (n, n_parameters), n = 1 unless the callable is batched; return and store the solves.
+        """Call the callable at points (n, n_parameters), and return the solves; slow ones are stored if `keep`.
 
-        The list is empty if the call fails for several points, because the point at fault is then unknown.
+        n is 1 unless the callable is batched. The list is empty if the call fails for several points, because the
+        point at fault is then unknown.
         """
         if self._first is None:
             self._first = theta[0].tobytes()

@@ -84,7 +84,6 @@ class _CoupledSets:
         self.n_nodes = 0
 
     def add(self, words: Sequence[str]) -> None:
-        """Add the nodes in the words of a CP line to a new or an existing set."""
         highest = self.highest
         which = {"": max(highest, 1), "HIGH": max(highest, 1), "NEXT": highest + 1}.get(words[0])
         which = _whole(words[0], "CP: the number of a set") if which is None else which

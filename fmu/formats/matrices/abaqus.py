@@ -181,7 +181,6 @@ def _add_entries(
 
 
 def _elements(lines: Iterable[str]) -> Iterator[_Element]:
-    """Yield each element matrix in a file."""
     nodes: list[int] = []
     of_node: dict[int, list[int]] = {}
     n_nodes, reading, kind, number, owner = 0, "", "", "", ""

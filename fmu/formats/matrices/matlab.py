@@ -107,7 +107,6 @@ def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
 
 
 def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
-    """Read a matrix as an ndarray or a csc_array."""
     if one.kind & _COMPLEX:
         raise RefusedError("must hold a real matrix (it is complex)")
     rows, columns = one.shape
@@ -184,7 +183,6 @@ def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[s
 
 
 def _body(file: BinaryIO, one: _Variable) -> memoryview:
-    """Return the decompressed bytes of a matrix."""
     fitting(one.size)
     file.seek(one.start)
     content = file.read(one.size)

@@ -85,7 +85,6 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _matrix(text: str, name: str, place: _Place) -> Labelled:
-    """Parse the matrix whose numbers begin at the position in `place`."""
     table, at = _table(text, name, place.at)
     if not place.function:
         entries_within(table.size)

@@ -47,8 +47,6 @@ _SET = ("ASET", "ASET1", "SPC", "SPC1")
 
 @dataclass(eq=False)
 class _Deck:
-    """Entries collected from a deck."""
-
     grids: dict[int, tuple[int, FloatArray]] = field(default_factory=dict)
     outputs: dict[int, int] = field(default_factory=dict)
     permanent: dict[int, set[int]] = field(default_factory=dict)

@@ -8,11 +8,11 @@ Abaqus          ``job_STIF1.mtx`` and ``job_MASS1.mtx``                      ``j
 Ansys           ``file.full``                                                ``.cdb`` or ``.rst``
 Nastran         OP4, ``.op4``; DMIG in ``.pch`` or the bulk data             ``.bdf``, ``.dat``, ``.nas``
 MATLAB          K and M in a ``.mat`` or ``.m`` file, or in two files
-any other       two files of `fmu.formats.matrices.read`, names of rows
+any other       two files for `fmu.formats.matrices.read`, and row names
 ==============  ===========================================================  =======================
 
 A separate file with row names has lines ``node,direction``, with a direction x, y, z, rx, ry, rz or 1 to 6.
-Units are the program's; fmu assumes SI units.
+Matrices are in the program's units; fmu assumes SI units.
 """
 
 from __future__ import annotations

@@ -92,7 +92,6 @@ def tied_motions(
 
 
 def _faces(mesh: Mesh, row_of: Mapping[int, int]) -> Iterator[_Face]:
-    """Yield all element faces, with their midside nodes."""
     for kind, element in zip(mesh.kinds, mesh.elements, strict=True):
         base = kind.rstrip("0123456789")
         around = FACES.get(base, ())

@@ -192,7 +192,6 @@ def _mesh(
     elements: Sequence[tuple[CellType, tuple[int, ...]]],
     number_of: Mapping[Hashable, int],
 ) -> list[_Written]:
-    """Return the node and element datasets."""
     sets: list[_Written] = []
     if places:
         x, y, z = np.array([np.asarray(place, dtype=float) for place in places.values()]).T

@@ -57,8 +57,6 @@ class _Header(NamedTuple):
 
 
 class _Entries:
-    """Matrix entries, collected column by column."""
-
     def __init__(self, header: _Header) -> None:
         self.header = header
         self.n = 0
