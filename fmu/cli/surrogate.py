@@ -118,7 +118,7 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact posterior draws by accepting or rejecting surrogate draws; make more of these if needed.
+    """Return exact posterior draws by accepting or rejecting surrogate draws, which are added to if needed.
 
     Parameters
     ----------

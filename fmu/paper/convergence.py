@@ -98,7 +98,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Needed:
-    """The shortest run length that passes the convergence checks, as does every longer length examined.
+    """The shortest run length that passes the convergence checks; every longer length examined also passes.
 
     All attributes are None if the run did not pass.
 
@@ -133,7 +133,7 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest run length that passes the convergence checks, as does every longer length examined.
+    """Return the shortest run length from which the convergence checks pass at every length examined.
 
     Parameters
     ----------

@@ -387,6 +387,6 @@ def _distance(result: Result, theta: FloatArray) -> float:
 
 
 def rows_of(frame: pd.DataFrame) -> list[tuple[str, dict[str, Any]]]:
-    """Return each row's name, with a dict of its cells."""
+    """Return each table row's name and its cells, as a dict keyed by column."""
     rows = frame.itertuples(name=None)
     return [(str(name), dict(zip(frame.columns, cells, strict=True))) for name, *cells in rows]

@@ -163,7 +163,7 @@ class Findings:
 
     @property
     def central_difference_rate(self) -> float:
-        """Effective sample size of HMC per solve if every gradient cost 2·ndim solves, as in eq. (15)."""
+        """ESS that HMC would gain per solve if every gradient cost 2·ndim solves, as in eq. (15)."""
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
 
     @property

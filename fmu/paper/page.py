@@ -158,7 +158,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return tables of how the long runs converged and what they cost, and of the paper's protocol's cost."""
+    """Return tables of the long runs' convergence and cost, and what the paper's protocol cost."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (
@@ -218,7 +218,7 @@ def claims(findings: Findings) -> str:
 
 
 def maxima(findings: Findings) -> str:
-    """Return a table of the posterior maxima and the share of the probability that each holds."""
+    """Return a table of the posterior maxima, with each one's share of the probability."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
     header = ["", *(f"{name}, {unit}" for name, (_, unit) in zip(names, units, strict=True))]

@@ -166,7 +166,10 @@ def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatAr
 
 
 def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the predicted decrease of V in an undamped step, (n,), with the `find_pressed` coordinates fixed."""
+    """Return the predicted decrease of V in an undamped step, (n,), with pressed coordinates fixed.
+
+    `find_pressed` defines the pressed coordinates.
+    """
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, _invertible(H), held, np.zeros_like(u))
     return -0.5 * np.sum(np.where(held, 0.0, g) * s, axis=1)

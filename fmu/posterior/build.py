@@ -42,7 +42,7 @@ def check_names(parameters: Sequence[Parameter]) -> None:
 
 
 def check_held(layout: Layout, model: ModalModel) -> None:
-    """Raise ValueError if no parameter is updated, or some are not although the model has no matrices."""
+    """Raise ValueError if no parameter is updated, or if a model without matrices has a fixed parameter."""
     if layout.held and not layout.parameters:
         raise ArgumentError("parameters", "one at least must be updated", "none")
     if layout.held and any(structure_of(part) is None for part in model.parts):
@@ -220,7 +220,7 @@ def _likelihood_of_frfs(
     discrepancy: Discrepancy | Sequence[Discrepancy],
     layout: Layout,
 ) -> Likelihood:
-    """Return the likelihood of frequency response functions, together with that of any modes with error models."""
+    """Return the joint likelihood of frequency response functions and of any modes with error models."""
     errors = Errors.of(given)
     of_frfs = list(errors.of_frfs.values())
     if len(layout.tests) == 1:

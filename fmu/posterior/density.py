@@ -116,7 +116,7 @@ class Posterior:
     def terms_of_tests(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf where its solve failed.
 
-        Unlike here, `log_likelihood_terms` returns -inf for all data at a theta if one of them fails.
+        By contrast, `log_likelihood_terms` returns -inf for all data at a theta if one of them fails.
         """
         terms = self.likelihood.terms(self.layout.of_model(theta))
         self._record_failures(terms, theta)

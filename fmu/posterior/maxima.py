@@ -112,10 +112,10 @@ def _starts_with_discrepancy(
 ) -> FloatArray:
     """Return the highest scaled points (m, ndim) reached by a few ascent steps with the model discrepancy.
 
-    Near mode crossings its variances change too fast for Gauss–Newton steps, and most ascents never arrive. They
-    are abandoned after `_MOST_STEPS` if they are `_HOPELESS` nats below the highest one that has arrived. If none
-    of `ends` leads to a maximum, they are retried with a tenth of the discrepancy: the smaller it is, the closer
-    its maxima are.
+    Near mode crossings the discrepancy's variances change too fast for Gauss–Newton steps, and most ascents never
+    arrive. They are abandoned after `_MOST_STEPS` if they are `_HOPELESS` nats below the highest one that has
+    arrived. If none of `ends` leads to a maximum, they are retried with a tenth of the discrepancy: the smaller it
+    is, the closer its maxima are.
 
     Parameters
     ----------

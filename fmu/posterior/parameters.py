@@ -141,7 +141,7 @@ def require_name(name: str, key: str = "name") -> None:
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters, with a Gaussian prior with the α of eq. (6) for each named group.
+    """Return the parameters, giving each named group a Gaussian prior with its α in eq. (6).
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def leave(directory: Path) -> None:
 
 
 def present(directory: Path) -> ProcessInfo | None:
-    """Return the process that is running in a directory or was killed in it, or None without a readable note."""
+    """Return the process that is running in a directory or was killed in it; None if no note is readable."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
@@ -135,7 +135,7 @@ class PhaseNote:
 
 
 def noted_phase(directory: Path) -> tuple[str, int, int] | None:
-    """Return the current phase's name, completed steps and total steps, or None without a readable note."""
+    """Return the current phase's name, completed steps and total steps, or None if no note is readable."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
         return str(held["phase"]), int(held["done"]), int(held["total"])

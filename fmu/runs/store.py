@@ -182,7 +182,7 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest state that is undamaged, as are its files of steps, or None if there is none.
+        """Return the newest undamaged state whose files of steps are undamaged too, or None if there is none.
 
         Later calls of `append` continue from this state.
         """

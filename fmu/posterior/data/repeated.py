@@ -162,7 +162,7 @@ class RepeatedTests:
         return np.asarray(_scatter(values, self.scatter).nu, dtype=float)
 
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
-        """Draw how much one more test's frequencies deviate from the structure's, shape (size, n_modes), Hz.
+        """Draw deviations of one further test's frequencies from the structure's true ones, (size, n_modes), Hz.
 
         A single test's standard deviation is estimated from n tests and, with the prior ∝ 1/s, integrated out: the
         deviations are s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive

@@ -1,4 +1,4 @@
-"""Derivatives, with respect to the parameters, of functions that depend on frequency and shape derivatives.
+"""Parameter derivatives of functions that themselves depend on frequency and shape derivatives.
 
 They are exact if the model has second derivatives; otherwise they are finite differences.
 """

@@ -34,7 +34,7 @@ _START, _MOST_CORRELATED = 0.3, 0.999
 
 
 class Setting(NamedTuple):
-    """A setting that is either a known number or inferred; if inferred, its index among the inferred error sds."""
+    """A setting: a known number or, if it is inferred, its index among the inferred error sds."""
 
     fixed: float
     number: int = -1

@@ -165,10 +165,10 @@ class LatentErrors:
         return self._groups.mean[..., 0], self._groups.mean[..., 1:], self._covariance
 
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return S^(−½) r, shape (n, m, k), and S^(−½) times the derivatives of r, (n, m, k, N).
+        """Return the whitened residuals S^(−½) r, shape (n, m, k), and their derivatives, shape (n, m, k, N).
 
-        The root is symmetric, so that each residual keeps its meaning. For a group's matrix A with AᵀA = VΛVᵀ, the
-        root is I − A V h(Λ) VᵀAᵀ with h(λ) = (1 − 1/√(1 + λ))/λ.
+        `slopes` are the derivatives of r. The root is symmetric, so that each residual keeps its meaning. For a
+        group's matrix A with AᵀA = VΛVᵀ, the root is I − A V h(Λ) VᵀAᵀ with h(λ) = (1 − 1/√(1 + λ))/λ.
         """
         X = np.concatenate([self.residuals[..., None], self.common, slopes], axis=3)
         X = X - self.loads @ self._half(self._sum(np.swapaxes(self.loads, 2, 3) @ X))[:, self.last]
@@ -261,9 +261,9 @@ class LatentErrors:
         return found
 
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
-        """Integrate w out of the sums (n, m, 1 + C, 1 + C); return the quadratic form of r, with log det added.
+        """Integrate w out of the sums (n, m, 1 + C, 1 + C); return the quadratic form of r, shape (n, m).
 
-        Without `with_log_det`, log det is not added.
+        Log det is added to it if `with_log_det` is True.
         """
         N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
         right = so_far[..., 1:, :1]

@@ -290,7 +290,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.linearise(terms or self.terms_of, seen, self._noise(theta), self.of_used)
 
     def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> LatentErrors:
-        """Return the residuals with their latent errors; tests share the errors unless `by_test` is True."""
+        """Build the `LatentErrors` for the residuals; tests share their errors unless `by_test` is True."""
         group = self._used if by_test else self.group[self._used]
         found = self.errors.latent(rows, self._values(theta)[:, self._test], self._noise(theta), group)
         if by_test and self.n_tests > 1:
@@ -378,7 +378,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _by_sd(self, seen: ModalPrediction, theta: FloatArray, change: Change) -> FloatArray:
-        """Return the derivatives with respect to inferred measurement sds, shape (n, m, n_noise)."""
+        """Return the log-density's derivatives with respect to inferred measurement sds, (n, m, n_noise)."""
         found = np.zeros(change.by_noise.shape)
         for d in sorted({d for term in self.terms_of for d in term.spread.sizes}):
             moved, column = theta.astype(complex), self.model.n_parameters + d

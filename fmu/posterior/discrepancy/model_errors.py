@@ -61,7 +61,7 @@ class Change(NamedTuple):
     by_noise: FloatArray
 
     def of(self, rows: Linearised) -> FloatArray:
-        """Return the change in each row's log-density when its slopes, own and common change as given, (n, m)."""
+        """Return the first-order change in each row's log-density, (n, m), for changes in all of its slopes."""
         pairs = ((self.by_slope, rows.slopes), (self.by_own, rows.own), (self.by_common, rows.common))
         found = [np.einsum("nmkp,nmkp->nm", by, x) for by, x in pairs if x.shape[-1]]
         return np.asarray(sum(found, np.zeros(self.by_residual.shape[:2])))
@@ -190,7 +190,7 @@ class ModelErrors:
         return own, common
 
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
-        """Return the residuals with their latent errors; `values` (n, m, p) are each row's parameters."""
+        """Build the `LatentErrors` for the residuals in `rows`; `values` (n, m, p) are each row's parameters."""
         loads, shared = (
             unit * np.sqrt(variance)[:, None, None]
             for unit, variance in zip(self._units(rows, values), self.variances(noise), strict=True)

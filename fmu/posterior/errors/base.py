@@ -154,7 +154,7 @@ class ErrorTerm:
         return z if self.tests is None else self.tests.normal_scores(z, mode)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the prediction in the form that `evaluate` and `residuals` take."""
+        """Return the prediction in the form that `evaluate` and `residuals` need."""
         return seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
@@ -204,7 +204,10 @@ class ErrorTerm:
         raise NotImplementedError
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; needs `of_frequencies`."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones.
+
+        Only frequency error models, those with `of_frequencies`, implement it.
+        """
         raise NotImplementedError
 
     def simulate_inferred(
@@ -216,7 +219,7 @@ class ErrorTerm:
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and sd of each measured frequency given the others, (n, n_modes), in Hz.
 
-        Only if `of_frequencies` is True.
+        Only frequency error models, those with `of_frequencies`, implement it.
         """
         raise NotImplementedError
 
@@ -366,7 +369,7 @@ class Likelihood:
 
     @property
     def test_of_terms(self) -> IntArray:
-        """Index of the test that each term belongs to, shape (n_terms,)."""
+        """Index of the test that each log-likelihood term belongs to, shape (n_terms,)."""
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:

@@ -343,7 +343,7 @@ class ModalLikelihood(Likelihood):
 
     @property
     def test_of_terms(self) -> IntArray:
-        """Index of the test that each term belongs to, shape (n_terms,)."""
+        """Index of the test that each log-likelihood term belongs to, shape (n_terms,)."""
         of_quantities = [np.full(len(term.labels), term.test) for term in self.quantities]
         return np.concatenate([self.of_used(self.model.test_of_modes), *of_quantities])
 
@@ -357,7 +357,7 @@ class ModalLikelihood(Likelihood):
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms of the modes and then of the quantities, with their gradients (n, n_terms, ndim)."""
+        """Return the modes' and then the quantities' log-likelihood terms, with gradients (n, n_terms, ndim)."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]

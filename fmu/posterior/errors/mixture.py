@@ -17,7 +17,7 @@ from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class _Pairs(NamedTuple):
-    """Log-densities of all pairs of a candidate k and a measured mode i, arrays of shape (n, k, m).
+    """Log-densities for all pairs of a candidate k and a measured mode i, arrays of shape (n, k, m).
 
     Attributes
     ----------

@@ -91,7 +91,7 @@ class QuantityErrors:
         return self
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return the measured quantities bound to a structure's model and parameters.
+        """Bind the measured quantities to a structure's model and parameters.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class MassErrors(QuantityErrors):
             raise ArgumentError("centre", "must be three finite coordinates", list(self.centre))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return the mass and, if given, the centre of gravity of a structure; see `QuantityErrors`."""
+        """Bind the mass and any centre of gravity to a structure; see `QuantityErrors.bind_structure`."""
         start = np.array([p.start for p in parameters])
         moments = MassMoments(model, start, self.centre is not None)
         labels, units = ["mass"], ["kg"]
@@ -209,7 +209,7 @@ class StaticErrors(QuantityErrors):
         return replace(self, force=replace_name(self.force), at=None if self.at is None else replace_name(self.at))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return the static displacement of a structure; see `QuantityErrors`."""
+        """Bind the static displacement to a structure; see `QuantityErrors.bind_structure`."""
         at = self.force if self.at is None else self.at
         for key, sensor in (("force", self.force), ("at", at)):
             if not model.sees(sensor):

@@ -281,7 +281,7 @@ class FRFLikelihood(Likelihood):
 
     @property
     def test_of_terms(self) -> IntArray:
-        """Index of the test that each term belongs to, shape (n_terms,)."""
+        """Index of the test that each log-likelihood term belongs to, shape (n_terms,)."""
         of_modes = np.zeros(0, dtype=np.int64) if self._has_no_terms_of_modes else self.modal.test_of_terms
         return np.concatenate([of_modes, np.array([one.test for one in self.every], dtype=np.int64)])
 

@@ -272,7 +272,10 @@ class ScatteredTerm(FRFTerm):
         return np.asarray(residues @ there.resonances.g * every._power)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return Σ r² over each FRF's used lines, (n, n_frfs), with residues drawn given the data."""
+        """Return each FRF's sum of squared residuals over its used lines, (n, n_frfs).
+
+        Its residue errors are drawn given the data.
+        """
         at = self._at(theta)
         epsilon = self._draw(at, rng)
         return np.asarray(np.sum((at.E - (epsilon[:, :, None] @ at.B)[:, :, 0]) ** 2, axis=2))

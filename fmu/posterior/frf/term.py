@@ -92,7 +92,7 @@ class FRFTerm:
         self._sd_column = self._first + len(inferred) - 1 if model_sd is None else None
 
     def widen(self, relative: float) -> FRFTerm:
-        """Return the same term with an additional relative model error, for a search from far away."""
+        """Return the same term with an additional relative model error, for a search that starts far away."""
         other = copy(self)
         other._wider = relative
         return other
@@ -150,7 +150,7 @@ class FRFTerm:
         return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return Σ r² over each FRF's used lines, (n, n_frfs), at theta (n, ndim).
+        """Return each FRF's sum of squared residuals over its used lines, (n, n_frfs), at theta (n, ndim).
 
         If the model is correct, it is chi-square distributed with two degrees of freedom per line. Gain errors
         that are integrated out are drawn. An error with Student's t distribution is replaced by its normal score.
@@ -343,7 +343,7 @@ class FRFTerm:
     def _add_channels(
         self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray
     ) -> None:
-        """Add the derivatives for inferred gain errors and delays to `slope`, from w H in a block of lines."""
+        """Add the derivatives for inferred gain errors and delays to `slope`; `products` are w H at some lines."""
         channels = self.channels
         for j in range(len(channels.names)):
             own = products[:, channels.of_frf == j]
@@ -354,7 +354,7 @@ class FRFTerm:
                 slope[:, channels.delay[j]] += np.sum(np.sum(own.imag * omega, axis=2), axis=1)
 
     def information(self, theta: FloatArray) -> FloatArray:
-        """Return the Fisher information in the data, shape (n, ndim, ndim), at theta (n, ndim).
+        """Return the Fisher information on theta, shape (n, ndim, ndim), at theta (n, ndim).
 
         Integrated gain errors are eliminated from it.
         """

@@ -29,7 +29,7 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
     Raises
     ------
     ValueError
-        If some tests have their own frequency standard deviations or covariance matrix and others do not.
+        If only some of the tests have frequency standard deviations or a covariance matrix.
     """
     every = _alike([test.data for test in tests])
     sd = covariance = None
@@ -56,7 +56,7 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
 
 
 def _alike(every: Sequence[ModalData]) -> list[ModalData]:
-    """Return all test data with or all without frequency uncertainty, so that they can be stacked.
+    """Return the tests' data, either all with or all without frequency uncertainty, so that they can be stacked.
 
     Tests that use no mode, such as those whose modes were picked in FRFs, are adapted to the others. Raise
     TestsError if only some of the other tests have uncertainties.

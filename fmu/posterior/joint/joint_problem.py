@@ -242,7 +242,7 @@ def find_mistakes(
     correlation: float | None = None,
     outliers: Outliers | None = None,
 ) -> list[str]:
-    """Return messages about contradictions between tests and parameters, each naming the argument.
+    """Return error messages about contradictions between tests and parameters, each naming the argument.
 
     The first `of_model` parameters are the model's, the others are damping parameters.
     """
@@ -294,7 +294,7 @@ def find_mistakes(
 
 
 def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
-    """Return messages about tests whose mode shapes cannot be compared, each naming the argument."""
+    """Return error messages about tests whose mode shapes cannot be compared, each naming the argument."""
     found = []
     for t, test in enumerate(tests):
         if test.data.shapes is None:

@@ -178,7 +178,7 @@ class Layout:
 
     @property
     def density_of_scores(self) -> Correlation | ContaminatedScores | ScoresInTime | None:
-        """Score density for correlated, outlying or time-dependent scores; None for independent normal scores."""
+        """Density of correlated, outlying or time-dependent scores; None if they are independent and normal."""
         return self.in_time or self.outliers or self.correlation
 
     def precision_of_scores(self, theta: FloatArray, z: FloatArray) -> FloatArray:
@@ -323,7 +323,7 @@ class Layout:
         return value
 
     def population_scores(self, theta: FloatArray) -> FloatArray:
-        """Return the scores relative to the populations, shape (n, n_tests, n_populations)."""
+        """Return the values standardised by their populations, shape (n, n_tests, n_populations)."""
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:

@@ -56,16 +56,16 @@ class Configuration:
         return [np.flatnonzero(times == k) for k in range(int(times.max()) + 1)]
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the model's parameters, (n · n_distinct, p), from `values`, (n, n_tests, n_structural)."""
+        """Arrange `values`, (n, n_tests, n_structural), as model parameters of the solves, (n · n_distinct, p)."""
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
     def pick(self, found: FloatArray) -> FloatArray:
-        """Return the entries for the measured modes, (n, m, …), from all modes, (n · n_distinct, n_modes, …)."""
+        """Select the measured modes' entries, (n, m, …), from an array (n · n_distinct, n_modes, …)."""
         return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
     def pick_shapes(self, found: FloatArray) -> FloatArray:
-        """Return the entries for the measured modes, (n, q, m, …), from (n · n_distinct, q, n_modes, …)."""
+        """Select the measured modes' entries, (n, q, m, …), from an array (n · n_distinct, q, n_modes, …)."""
         return np.moveaxis(self.pick(np.moveaxis(found, 1, 2)), 1, 2)
 
 

@@ -187,7 +187,10 @@ class ContaminatedScores:
         return np.asarray(inverse / (scales[..., :, None] * scales[..., None, :]))
 
     def weights(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the expected 1/D² of each score in z, shape (n, n_tests, p); it is 1 for a regular test."""
+        """Return the expected inverse square scale 1/D² of each score in z, shape (n, n_tests, p).
+
+        It is 1 for a regular test.
+        """
         return np.einsum("nct,ctp->ntp", self.probabilities(theta, z), self.scales**-2.0)
 
     def probabilities(self, theta: FloatArray, z: FloatArray) -> FloatArray:

@@ -58,7 +58,7 @@ class Errors(NamedTuple):
         return found
 
     def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
-        """Return messages about contradictions between error models, model and tests."""
+        """Return error messages about contradictions between error models, model and tests."""
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
@@ -185,7 +185,7 @@ def over(p: Parameter, lower: float, upper: float) -> Parameter:
 
 
 def _close_box(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return `p` widened as by `over`, with the interval's limits in place of bounds that are infinite."""
+    """Return `over(p, lower, upper)` with the interval's limits in place of infinite bounds."""
     found = over(p, lower, upper)
     low = found.lower if np.isfinite(found.lower) else float(lower)
     high = found.upper if np.isfinite(found.upper) else float(upper)

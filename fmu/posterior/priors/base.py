@@ -104,7 +104,7 @@ class Prior(ABC):
 
 
 def prior_in(given: object) -> Prior | None:
-    """Return a value that is given by its distribution, or None for a number, a name or nothing."""
+    """Return the value if it is a prior distribution, or None if it is a number, a name or nothing."""
     return given if isinstance(given, Prior) else None
 
 

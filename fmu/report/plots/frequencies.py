@@ -155,7 +155,7 @@ def _new_figure(labels: Sequence[str]) -> Figure:
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Plot the error, in %, in each measured frequency as predicted from the other modes.
+    """Plot the error, in %, when each measured frequency is predicted from the other modes.
 
     Parameters
     ----------

@@ -166,7 +166,7 @@ def literal(text: str) -> str:
 
 
 def thin_labels(labels: Sequence[str]) -> list[str]:
-    """Return tick labels in which only every k-th label is not empty, if there are too many to read."""
+    """Return tick labels with all but every k-th label emptied, if there are too many to read."""
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 

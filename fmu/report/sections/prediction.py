@@ -193,7 +193,7 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _compared_quantity(trace: xr.DataTree) -> str:
-    """Return the words for the measured quantities in a mode's log-likelihood."""
+    """Return a phrase that names the measured quantities in a mode's log-likelihood."""
     return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
 
 

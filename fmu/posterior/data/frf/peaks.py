@@ -92,7 +92,7 @@ class Spectra(NamedTuple):
 
     @property
     def signs(self) -> FloatArray:
-        """Sign of each FRF, (n_frfs, 1): −1 if either its drive or its response has a minus direction, or 1."""
+        """Sign of each FRF, (n_frfs, 1): −1 if exactly one of its two directions has a minus, otherwise 1."""
         minus = [
             drive[1].startswith("-") != response[1].startswith("-")
             for drive, response in zip(self.drives, self.responses, strict=True)

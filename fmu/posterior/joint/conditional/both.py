@@ -180,7 +180,7 @@ def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, sc
 def _bend(
     straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> ScoresGivenMain:
-    """Return the score density with curved approximations if any ridges are noticeably curved, else `straight`."""
+    """Return the score density, with curved approximations if any ridges are noticeably curved."""
 
     def gradient(z: FloatArray) -> FloatArray:
         slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]

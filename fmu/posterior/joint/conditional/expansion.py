@@ -19,7 +19,7 @@ OfTests = ModalLikelihood | FRFLikelihood
 
 
 def likelihood_of_tests(problem: UpdatingProblem) -> OfTests:
-    """Return the likelihood of a problem with several tests, which has no soft pairing and no modal residual."""
+    """Return the likelihood of a problem with several tests, which has no soft pairing or modal residual."""
     likelihood = problem.likelihood
     assert isinstance(likelihood, OfTests)  # for the type checker
     return likelihood

@@ -53,7 +53,7 @@ def default_prior(times: FloatArray) -> LogNormal:
 
 
 def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[str]:
-    """Return messages that say why the tests have no valid times for the scores of the parameter `name`."""
+    """Return error messages if the tests have no valid times for the scores of the parameter `name`."""
     if not by:
         return []
     here = [t for t, test in enumerate(tests) if name not in test.known]

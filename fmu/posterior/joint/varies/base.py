@@ -299,7 +299,7 @@ class Varies:
 
     @property
     def by_date(self) -> str | None:
-        """Name of the covariate that dates a loss, empty if test numbers do; None if no loss is undated."""
+        """Time covariate of an undated loss; empty if test numbers serve as time, None if no loss is undated."""
         return None
 
     @property
@@ -313,7 +313,7 @@ class Varies:
         return None
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
         here = [test for test in tests if name not in test.known]
         found = []
         if self.by_test and len(here) < 2:

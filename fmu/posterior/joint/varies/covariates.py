@@ -81,7 +81,7 @@ def known_values(name: str, tests: Sequence[Test]) -> FloatArray:
 
 
 def find_mistakes_of_covariate(name: str, of: str, tests: Sequence[Test]) -> list[str]:
-    """Return messages about whatever the tests lack for the parameter `of` to depend on the covariate `name`."""
+    """Return error messages if the tests do not allow the parameter `of` to depend on the covariate `name`."""
     absent = [t for t, test in enumerate(tests) if name not in test.covariates]
     if absent:
         rule = f"must have {name}, on which {of} depends (got none)"

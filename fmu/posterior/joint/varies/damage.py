@@ -54,7 +54,7 @@ class Damage(Varies):
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
         found = super().find_mistakes(name, tests)
         return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
 

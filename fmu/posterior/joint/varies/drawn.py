@@ -106,7 +106,7 @@ class Drawn(InTests):
         return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
-        """Add minus the scaled second derivatives between scores adjacent in time to `curvature` in place."""
+        """Add the negative second derivatives between scores adjacent in time to `curvature` in place, scaled."""
         if self.in_time is None:
             return
         slopes, order = np.sqrt(self.curvature(theta)), self.in_time.order

@@ -74,7 +74,7 @@ class Law:
         raise NotImplementedError
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return messages about contradictions with the range of the covariate `name` in the tests."""
+        """Return error messages if the law contradicts the range of the covariate `name` in the tests."""
         return []
 
     def as_dict(self) -> dict[str, Plain]:
@@ -181,7 +181,7 @@ class PiecewiseLinear(Law):
         return () if isinstance(self.kinks, Prior) else tuple(map(float, self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return messages about kinks outside the range of the tests."""
+        """Return error messages about kinks outside the range of the tests."""
         rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
         if self._prior_of_kink is not None:
             without = not np.isfinite(self._prior_of_kink.log_mass(low, high))
@@ -241,7 +241,7 @@ def slope(name: str, prior: Prior) -> Parameter:
 
 
 def law_of(how: Prior | Law | str) -> Law | None:
-    """Return the law; a prior becomes a straight line with that prior of its slope, and a name gives None."""
+    """Return the law itself, a straight line whose slope has the given prior, or None for a name."""
     if isinstance(how, str):
         return None
     return Polynomial([how]) if isinstance(how, Prior) else how

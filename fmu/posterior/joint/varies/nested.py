@@ -106,7 +106,7 @@ class Nested(Multiplied):
 
 
 def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return messages about whatever the tests lack for the parameter `name` to differ between groups."""
+    """Return error messages if the tests do not allow the parameter `name` to differ between groups."""
     rule = f"must be given, as {name} scatters between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     groups = {test.group for test in tests if name not in test.known}
@@ -117,7 +117,7 @@ def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
 
 
 def find_mistakes_of_sds(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return messages about whatever the tests lack for `name` to have its own sd in each group."""
+    """Return error messages if the tests do not allow `name` to have a separate sd in each group."""
     rule = f"must be given, as the sd of {name} differs between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     sizes = Counter(test.group for test in tests if name not in test.known and test.group)

@@ -87,7 +87,7 @@ class UndatedDamage(Varies):
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return messages about whatever the tests lack for the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
         found = [] if self.scatter is None else self.scatter.find_mistakes(name, tests)
         if self.by:
             rule = f"must have {self.by} as a number, which is the time of the damage of {name}"
@@ -185,7 +185,7 @@ class LostFrom(Multiplied):
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """The sudden loss with its date's and its own index in theta; None if the loss grows."""
+        """Sudden loss, with the theta indices of its date and its size; None if the loss grows."""
         return None if self.grows else SuddenLoss(self.date, self.column, self.times)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
