@@ -1,4 +1,4 @@
-"""Types for annotations: arrays by type of entry, numbers in a range, the chain rule, and a log-density."""
+"""Types for annotations: arrays by type of entry, numbers in a range, chain-rule functions, and a log-density."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ type Plain = bool | int | float | str | Sequence[Plain] | Mapping[str, Plain] | 
 type Chain = Callable[[FloatArray, IntArray], FloatArray]
 """A function that applies the chain rule to derivatives of m quantities, each of which belongs to one test.
 
-It takes the derivatives by the parameters of the structure in that test, (n, m, n_structural), and the index of
-the test of each quantity, (m,); it returns the derivatives by the parameters of all tests, (n, m, n_parameters).
+It takes derivatives with respect to the structural parameters in that test, (n, m, n_structural), and the index of
+each quantity's test, (m,). It returns derivatives with respect to the parameters of all tests, shape
+(n, m, n_parameters).
 """
 
 

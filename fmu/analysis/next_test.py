@@ -84,11 +84,12 @@ def predict_tests(
     pandas.DataFrame
         One row per test:
 
-        - ``p_value``: between 1/(n + 1) and 1;
+        - ``p_value``: p, between 1/(n + 1) and 1;
         - ``parameter``: the parameter with a population that explains the departure best;
         - ``or_parameters``: other parameters that the data cannot distinguish from it, because the best fit with
           one makes the data less than 20 times as probable as the best fit with the other;
-        - ``change``: its relative change from the mean of the population that fits best, NaN if the mean is zero;
+        - ``change``: the best-fitting change of ``parameter`` from its population mean, relative to this mean; NaN
+          if the mean is zero;
         - ``score NAME``: tⱼ, for each parameter with a population;
         - ``draws``: n.
 

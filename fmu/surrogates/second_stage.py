@@ -44,7 +44,7 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
         Values of log p − log p̂ at the proposals, which are drawn from p̂; −inf where p = 0. At least one is
         finite.
     rng : Generator
-        A longer chain begins with the same random numbers.
+        Each step uses the same random numbers, however long the chain is.
 
     Returns
     -------

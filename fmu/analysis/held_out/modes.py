@@ -136,10 +136,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         The problem that was sampled.
     most : float, optional
         Largest number of solves for updating without modes. For 400 or more draws of a model with derivatives, it
-        defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Modes
-        with unreliable weights are left out beyond this limit if one takes at most 2.5 seconds and all of them at
-        most 15. With ``inf``, every mode whose refit is unreliable gets a separate run. A hierarchical posterior
-        has too many parameters for refits, and `most` has no effect.
+        defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Beyond
+        this limit, modes with unreliable weights are refitted if one refit takes at most 2.5 seconds, as many of
+        them as 15 seconds permit. With ``inf``, every mode whose refit is unreliable gets a separate run. A
+        hierarchical posterior has too many parameters for refits, and `most` has no effect.
     """
     import xarray as xr
 
