@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 LARGEST_FILE = 2**21
-"""Largest size of a TOML file in bytes. Large matrices belong in separate files, read a hundred times faster."""
+"""Largest TOML file size in bytes. Large matrices belong in separate files, which are read a hundred times
+faster."""
 DEEPEST_KEY, DEEPEST = 6, 12
-"""Largest number of parts of a dotted key and of nested levels of tables and lists. No problem needs half of
-these."""
+"""Largest number of parts in a dotted key, and of nested table or list levels. No problem needs half of these."""
 SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
-"""Limits of the absolute value of a number in SI units; beyond them products or reciprocals would overflow."""
+"""Limits on a number's absolute value in SI units; beyond them products or reciprocals would overflow."""
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
 _KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
 _LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{8 * DEEPEST_KEY},}}+)")

@@ -17,7 +17,7 @@ class DiscrepancyTable(TomlTable):
     """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors whatever the
     parameters. For frequency response functions only "modes" is allowed, with sd and correlation."""
     tau: Positive | None = None
-    """The scatter relative to the parameter or, if the parameter may be 0, to its start value. Inferred if not
+    """The scatter relative to the parameter or, if the parameter may be 0, to its starting value. Inferred if not
     given."""
     prior_sd: Positive = 0.1
     """Standard deviation of the half-normal priors of an inferred tau, sd and shape_sd."""

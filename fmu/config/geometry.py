@@ -30,7 +30,7 @@ class GeometryTable(TomlTable):
     file: FileName | None = None
     """CSV table with columns point, x, y and z, or a universal file (.uff, .unv) with dataset 15 or 2411."""
     points: Annotated[dict[Name, Vector], Field(min_length=1)] | None = None
-    """Coordinates by point, instead of a file."""
+    """Coordinates by point name, instead of a file."""
     unit: Literal["m", "mm", "cm", "in", "ft"] = "m"
     """Unit of the coordinates."""
     nodes: dict[Name, Place] = {}

@@ -61,10 +61,9 @@ _IN_A_FILE: dict[object, object] = {
     Sensors: None,
     Sensors | None: None,
 }
-"""TOML types by the annotations of a reader's arguments. None for sensors, which are a key of
-``[measurement]``."""
+"""TOML types by the annotation of a reader's argument. None for sensors, which are a key of ``[measurement]``."""
 _FILES = ("file", "deck")
-"""Names of the arguments of readers that are file names."""
+"""Names of reader arguments that are file names."""
 
 
 def _of_reader(key: str, form: ModesFormat) -> tuple[object, object]:
@@ -116,7 +115,7 @@ class MeasurementTable(TomlTable):
     """Place and direction of each sensor: x, y, z, rx, ry, rz, with a minus sign if positive readings point in the
     opposite direction."""
     geometry: GeometryTable | None = None
-    """Coordinates of the points of the test, if these are not nodes or places of the model."""
+    """Coordinates of the measurement points, if these are not nodes or places of the model."""
     shapes: Annotated[list[list[float]], one_length("sensor")] | None = None
     """One row per mode with one value per sensor, scaled arbitrarily."""
     shapes_file: FileName | None = None

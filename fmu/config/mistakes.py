@@ -24,7 +24,7 @@ _PATTERNS = {
     PYTHON_FILE: "must be a Python file beside this one, as portal.py",
     FUNCTION: 'must be "module:function", as in "storeys:modes"',
 }
-"""The rule, in words, for each pattern of a string."""
+"""The rule, in words, for each string pattern."""
 
 
 class BrokenError(Exception):

@@ -36,7 +36,7 @@ from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
 LEAST_LOG_MASS = -200.0
-"""Smallest log-probability of a prior between the bounds; bounds 20 standard deviations away are taken as
+"""Smallest log-probability that a prior may have between the bounds; bounds 20 standard deviations away are
 typos."""
 KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
 """The key of a parameter's table that lists the groups, masses or springs with a property, by property."""
@@ -235,15 +235,15 @@ SETTINGS = {
     "loss": ("damage", "undated-damage"),
     "onset": ("undated-damage",),
 }
-"""For each key with settings of a variation, the values of ``varies`` with which it is allowed."""
+"""For each key that sets how a parameter varies, the values of ``varies`` with which it is allowed."""
 
 
 class ParameterTable(Uncertain, Target):
     """A parameter and, for a frame, the quantities that it updates."""
 
     updated: bool = True
-    """false keeps the parameter at its start value. It may still scatter over the modes with [[discrepancy]]; its
-    bounds and prior only determine where a reduced model must be accurate."""
+    """false fixes the parameter at its starting value. It may still scatter over the modes with [[discrepancy]];
+    its bounds and prior only determine where a reduced model must be accurate."""
     varies: Literal["shared", "test", "group", "population", "damage", "undated-damage"] | None = None
     """With [[tests]]: one value for all tests, one per test or group, values from a population, losses in later
     groups, or a loss from an unknown date."""

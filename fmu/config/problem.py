@@ -99,10 +99,10 @@ class ProblemFile(TomlTable):
     noise: list[NoiseTable] = []
     """Standard deviations to be inferred, which error models refer to by name."""
     damping: Annotated[list[DampingTable], Field(max_length=MOST_PARAMETERS)] = []
-    """Damping of the structure, for frequency response functions; several tables are added. The [[parameters]]
-    that it names come after those of the structure."""
+    """Damping of the structure, for frequency response functions; several tables are added. The damping parameters
+    come after the structural parameters in [[parameters]]."""
     discrepancy: Annotated[list[DiscrepancyTable], Field(max_length=MOST_PARAMETERS)] = []
-    """Errors of the model itself, if it is not assumed to be correct."""
+    """Model discrepancy, if the model is not assumed to be correct."""
     reduction: Reduction = True
     """Whether a certified reduced model, which is much faster, replaces the full model within the bounds. A number
     up to 0.01 is the tolerance on its relative frequency errors. true means 1e-6 or, from 20 000 degrees of

@@ -81,7 +81,7 @@ class TestTable(MeasurementTable):
     (optional), the frequency of each mode in Hz with its label as header, empty or nan if the test missed the
     mode, and covariates such as the temperature. ``labels`` lists the columns with modes."""
     data: FileName | None = None
-    """File of the frequency response functions of this test, relative to this file; the [[error]] table with of =
+    """File with this test's frequency response functions, relative to this file; the [[error]] table with of =
     "frf" says how to read it."""
     modes: list[Annotated[int, Field(ge=1)]] = []
     """With data: the mode number of each picked resonance, if it differs from the number in the [[error]]

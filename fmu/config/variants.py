@@ -28,7 +28,7 @@ VARIANTS = {
     "embedded": Variant("embedded", {"kind": "embedded", "by": "common"}),
     "embedded-by-group": Variant("embedded by group", {"kind": "embedded", "by": "group"}),
 }
-"""The discrepancies by their names on the command line; comparisons use the first one as reference."""
+"""Discrepancies by their names on the command line; comparisons use the first one as reference."""
 
 
 def with_discrepancy(text: str, variant: str) -> str:

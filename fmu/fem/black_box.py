@@ -92,7 +92,7 @@ class BlackBoxModel:
     """
 
     place = "model.function"
-    """Key of the problem file that is named in messages when the function fails."""
+    """Problem file key that is named in messages when the function fails."""
     sensors: tuple[Dof, ...] = ()
     """Sensors (place, direction) at which the function gives shapes, if they can be chosen."""
 

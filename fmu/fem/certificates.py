@@ -12,7 +12,7 @@ import numpy as np
 from fmu.numbers import apart, share, significant, typed, whole
 
 _SCATTER = 1e-5
-"""Relative scatter of a solver's frequencies above which the scatter is reported."""
+"""Relative scatter of a solver's frequencies above which it is reported."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class SingleFactor(Protocol):
 
 
 type Solve = Callable[[FloatArray], FloatArray]
-"""The map from b (n, m) to F⁻¹ b."""
+"""Maps b (n, m) to F⁻¹ b."""
 
 # Relative error in the energy norm at which conjugate gradients end, and relative change at which refinement ends.
 _CONVERGED = 1e-12

@@ -23,7 +23,7 @@ _PROGRAMS = {
     ".inp": ("CalculiX", "Abaqus"),
     ".dat": ("Nastran", "CalculiX", "Ansys"),
 }
-"""Programs whose files may have each suffix."""
+"""Programs that may use each file suffix."""
 
 
 def how_to_export(suffix: str) -> str:

@@ -24,7 +24,7 @@ from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 DIRECTIONS = ("x", "y", "z")
-"""Directions of the displacements that ``*NODE PRINT`` gives."""
+"""Directions of the displacements printed by ``*NODE PRINT``."""
 LARGEST_FILE = 2**29
 _TABLE = "E I G E N V A L U E   O U T P U T"
 _MODE = re.compile(r"^\s*E I G E N V A L U E    N U M B E R\s+(\d+)\s*$", re.MULTILINE)

@@ -30,9 +30,9 @@ VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.cs
 EXPORTED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM, MESH_MODES, UPDATED_MODES, MEASURED_MODES)
 """Names of the other files that `fmu.report.export.export` writes; no deck may have one of these names."""
 LARGEST_DECK = 2**26
-"""Largest size of a deck, bytes."""
+"""Largest deck size, bytes."""
 WIDEST = 20
-"""Largest number of characters that Abaqus and CalculiX read of a number; they cut off the rest, even an
+"""Largest number of characters that Abaqus and CalculiX read in a number; they cut off the rest, even an
 exponent."""
 FIELDS = (8, 16)
 """Widths of Nastran's small and large fields, columns."""

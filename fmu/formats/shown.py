@@ -10,7 +10,7 @@ from reprlib import Repr
 from fmu.numbers import whole
 
 MOST = 60
-"""Largest number of characters shown of a value."""
+"""Largest number of characters shown from a value."""
 MOST_NAMES = 12
 """Largest number of names shown in a list."""
 MOST_OF_A_LINE = 1000

@@ -64,13 +64,13 @@ class FRFTable(Declared):
     kind: FRFKind | None = None
     """Response divided by force; needed if the file does not specify it."""
     factor: Positive = 1.0
-    """Converts the values of the file to SI units: 9.80665 for accelerations in g."""
+    """Converts the file's values to SI units: 9.80665 for accelerations in g."""
     drives: _POINTS = []
     """Place and direction of the force of each FRF, if the file does not name them."""
     responses: _POINTS = []
     """Place and direction of the response of each FRF, if the file does not name them."""
     nodes: dict[Annotated[str, Field(pattern=r"^\d{1,9}$")], Place] = {}
-    """For a universal file: the place in the model of each node in the file; other nodes are skipped."""
+    """For a universal file: the model location of each node in the file; other nodes are skipped."""
     variables: dict[Name, Name] = {}
     """For a file of arrays: the names in the file of frequencies_hz, values, coherence, sd, averages, kind, drives
     and responses."""
@@ -88,7 +88,7 @@ class FRFTable(Declared):
     sd: Positive | None = None
     """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
     scale: Literal["linear", "log"] = "linear"
-    """Whether the errors are errors of H, or of log H, which are errors of log-amplitude and phase."""
+    """Whether the errors apply to H, or to log H, that is to log-amplitude and phase."""
     model_sd: Deviation = 0.0
     """Standard deviation of the model error relative to |H|, or the name of a noise to be inferred."""
     gain_sd: ByChannel = 0.0

@@ -42,7 +42,7 @@ class CommandTable(ModelTable):
     """Other files that the program needs, relative to the folder of this file; files included in Nastran bulk data
     are added automatically."""
     timeout: Positive = 600.0
-    """Longest time of a run in s."""
+    """Time limit for a run in s."""
     retries: Annotated[int, Field(ge=0, le=100)] = 0
     """How many times a failed run is repeated."""
     keep: bool = False
@@ -50,7 +50,7 @@ class CommandTable(ModelTable):
     store: FileName = "solves"
     """Folder of solved runs, relative to the folder of this file; these are not solved again."""
     step: Annotated[float, Field(gt=0, le=0.1)] = STEP
-    """Step of central differences, relative to the range of each parameter."""
+    """Central-difference step, relative to the range of each parameter."""
 
     @property
     def decks(self) -> list[str]:

@@ -69,7 +69,7 @@ class RunsTable(TomlTable):
     """Other files that the program needs, relative to the folder of this file; files included in Nastran bulk data
     are added automatically."""
     timeout: Positive = 600.0
-    """Longest time of a run in s."""
+    """Time limit for a run in s."""
     store: FileName = "exports"
     """Folder of the runs, relative to the folder of this file; finished runs are not repeated."""
 
@@ -79,11 +79,11 @@ class ExportsTable(ModelTable):
 
     type: Literal["exports"]
     exports: Annotated[list[ExportedTable], Field(max_length=MOST_EXPORTS)] = []
-    """Not needed with [model.runs], where there is one run per parameter: this has its start value, all others a
-    thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
+    """Not needed with [model.runs], where there is one run per parameter: this has its starting value, all others
+    a thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
     runs: RunsTable | None = None
     mesh: FileName | None = None
-    """File of nodes and elements for pictures; the deck by default with [model.runs]."""
+    """File of nodes and elements for plots; the deck by default with [model.runs]."""
     tied_modes: FileName | None = None
     """File of modes that CalculiX printed at all nodes, from which the motion of nodes eliminated by ``*TIE`` is
     found."""

@@ -80,12 +80,12 @@ class MatricesTable(ModelTable):
     mass: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
     dofs: list[SensorTable] | None = None
     mesh: FileName | None = None
-    """File of nodes and elements for pictures, from CalculiX, Abaqus, Ansys or Nastran."""
+    """File of nodes and elements for plots, from CalculiX, Abaqus, Ansys or Nastran."""
     tied_modes: FileName | None = None
     """File of modes that CalculiX printed at all nodes, from which the motion of nodes eliminated by ``*TIE`` is
     found."""
     points: dict[Name, Vector] = {}
-    """Coordinates in m for pictures, if there is no mesh; sensors at places with these names are drawn."""
+    """Coordinates in m for plots, if there is no mesh; sensors at places with these names are plotted."""
     lines: list[LineTable] = []
     free: bool = False
 

@@ -29,7 +29,7 @@ class OpenSeesTable(ModelTable):
 
     type: Literal["opensees"]
     file: Annotated[str, StringConstraints(max_length=500, pattern=PYTHON_FILE)]
-    """A Python file in the folder of this file; its function build(theta) makes the model from parameters in SI
+    """A Python file in the folder of this file; its function build(theta) creates the model from parameters in SI
     units."""
     per_theta: bool = False
     """Whether the model is assembled and solved anew at every theta. If not, the dependence of its matrices on the
@@ -37,7 +37,7 @@ class OpenSeesTable(ModelTable):
     modes: Annotated[int, Field(ge=1, le=MOST_DOFS)] = MODES
     """With per_theta: number of modes to compute."""
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
-    """With per_theta: step of the central differences, relative to the range of each parameter."""
+    """With per_theta: central-difference step, relative to the range of each parameter."""
     store: FileName = "solves"
     """With per_theta: folder, relative to the folder of this file, for solves that took 0.05 s or longer."""
     free: bool = False

@@ -64,7 +64,7 @@ class PlanTable(TomlTable):
     min_distance: Annotated[float, Field(ge=0)] = 0.0
     """Smallest distance between two sensors in m."""
     costs: dict[Name, Positive] = {}
-    """Cost of a sensor by its place; 1 at other places."""
+    """Cost of a sensor at each place; 1 at other places."""
     budget: Positive | None = None
     """Largest total cost of the chosen sensors."""
     modes: Annotated[int, Field(ge=1, le=MOST_MODES)] | Annotated[list[ModeNumber], Field(min_length=1)] | None = (
@@ -86,7 +86,7 @@ class PlanTable(TomlTable):
     like: ParameterName | None = None
     """With several tests, the test whose group and changes the planned test shares; the last test if not given."""
     changes: list[ChangeTable] = []
-    """Known changes of the structure, one of which a second test may have."""
+    """Known changes to the structure, one of which a second test may have."""
 
     @model_validator(mode="after")
     def _has_one_target(self) -> Self:

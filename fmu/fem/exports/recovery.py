@@ -17,7 +17,7 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
-"""Largest error of an entry, relative to √(a_ii a_jj), in an export that is kept for checking."""
+"""Largest error of an entry, relative to √(a_ii a_jj), in an export that is reserved for checking."""
 _FITTED = 1e-9
 _RANK = {0: 0, 1: 1, 2: 3, 3: 2, -1: 4}
 """Order in which the powers are tried: elements with a square are rare."""

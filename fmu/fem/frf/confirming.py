@@ -20,7 +20,7 @@ from fmu.progress.phases import phase
 from fmu.types import ComplexArray, FloatArray
 
 ALLOWED = 0.1
-"""Largest shift of the posterior that is allowed, in its standard deviations."""
+"""Largest posterior shift allowed, in posterior standard deviations."""
 _PREFIX = "frf_certificate_"
 _LOSS = 0.02
 """Loss factor at which the full structure is solved directly, line by line."""

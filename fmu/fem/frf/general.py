@@ -21,7 +21,7 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import ComplexArray, FloatArray, IntArray
 
 _AGREES = 1e-8
-"""Relative difference of the sum over poles and a direct solve above which every line is solved directly."""
+"""Relative difference between the sum over poles and a direct solve above which every line is solved directly."""
 
 
 @dataclass(frozen=True, eq=False)

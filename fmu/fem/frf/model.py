@@ -22,7 +22,8 @@ from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.types import Dof, FloatArray
 
 _STIFFER = 1e-9
-"""Relative change of the highest eigenvalue of the band by the fictitious mass of massless degrees of freedom."""
+"""Relative change in the band's highest eigenvalue that the fictitious mass of massless degrees of freedom may
+cause."""
 
 
 @dataclass(frozen=True, eq=False)

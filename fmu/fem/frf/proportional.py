@@ -27,7 +27,7 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import ComplexArray, FloatArray, IntArray
 
 CLOSE = 1e-4
-"""Difference of two eigenvalues, relative to their sum, below which divided differences are computed as
+"""Difference between two eigenvalues, relative to their sum, below which divided differences are computed as
 products."""
 
 

@@ -27,16 +27,16 @@ from fmu.progress.phases import phase
 from fmu.types import ComplexArray, FloatArray, IntArray
 
 EXACT_LIMIT = 64
-"""Size up to which the basis has all degrees of freedom."""
+"""Block size up to which the basis has all degrees of freedom."""
 TOLERANCE = 1.0
-"""Largest error of all lines together, in units of their errors. It moves a posterior by a small part of that, as
-most of it has another pattern than a change of parameters (`fmu.fem.frf.confirming`)."""
+"""Largest combined error of all lines, in units of their errors. It moves a posterior by only a small part of
+this, because most of the error does not look like a parameter change (`fmu.fem.frf.confirming`)."""
 _BEYOND = 1.3
-"""Modes up to this multiple of the highest frequency of the band are in the basis."""
+"""Modes up to this multiple of the band's highest frequency are in the basis."""
 _SHIFTS = (0.0, 0.55, 1.02)
-"""Frequencies of the responses, in multiples of the highest frequency of the band."""
+"""Frequencies at which responses are computed, in multiples of the band's highest frequency."""
 _SOFT = 1e-3
-"""Share of the lowest squared frequency of the band that makes the stiffness of a free structure definite."""
+"""Share of the band's lowest squared frequency that makes the stiffness of a free structure definite."""
 _OF_TRUNCATION = 0.5
 """Share of the tolerance that truncation may use."""
 _PASSES, _MOST_POINTS, _SHOWN, _EVEN = 4, 64, 16, 60

@@ -13,9 +13,9 @@ from fmu.fem.modes.terms import ParametricMatrix, Term
 from fmu.types import FloatArray, IntArray
 
 Observation = tuple[Matrix, FloatArray]
-"""Rows of the coordinates of comparison on a block's unknowns, and the reference shapes at these coordinates."""
+"""Comparison coordinates as rows for a block's unknowns, and the reference shapes at these coordinates."""
 Solved = dict[int, tuple[FloatArray, FloatArray]]
-"""Eigenvalues and shapes by index of the block."""
+"""Eigenvalues and shapes by block index."""
 
 
 class BlockPrediction(NamedTuple):

@@ -15,9 +15,9 @@ from fmu.types import Dof, FloatArray
 
 TRANSLATIONS = ("x", "y", "z")
 _FIRST, _CHECKS, _MOST = 32, 8, 1024
-"""Numbers of points at which the full stiffness is solved: at first, for the check, and at most."""
+"""Numbers of points at which the full stiffness is solved: initially, for the check, and at most."""
 _CONVERGED = 1e-9
-"""Largest relative error of a displacement at the points of the check."""
+"""Largest relative displacement error at the check points."""
 _DEPENDENT = 1e-13
 """Singular value, relative to the largest, below which a vector adds nothing to the basis."""
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from fmu.types import FloatArray, IntArray
 
 _FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
-"""Steps from every start, steps from the best alignments, and number of the best alignments."""
+"""Steps from every starting alignment, steps from the best alignments, and number of the best alignments."""
 _FEW, _ROUNDS = 8, 10
 """Number of alignments whose neighbours are tried, and the largest number of rounds."""
 _OTHERS = 600
@@ -31,13 +31,13 @@ _EXACT = 1e-3
 _ELSEWHERE = 5.0
 """Smallest angle in degrees between two alignments that count as different."""
 _MOST_FAR = 0.2
-"""Points fit a mesh if at most this share of the points is farther from its node than the spacing there."""
+"""Points fit a mesh if at most this share of them is farther from the nearest node than the mesh spacing there."""
 _KEEPS = 1e-10
-"""Weight of the current rotation, for an axis about which points on one line leave the rotation free."""
+"""Weight on the current rotation, used for an axis about which collinear points leave the rotation free."""
 
 
 Alignment = tuple[FloatArray, FloatArray]
-"""Rotation R and shift t of x → R x + t."""
+"""Rotation R and shift t in x → R x + t."""
 
 
 def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:

@@ -45,7 +45,7 @@ _MOST_NAMED = 5
 _TRIED = 8
 """Number of sensors with the largest ECoMAC among which every pair is tried for a swap."""
 _DEPENDENT = 1e-8
-"""Singular value of shapes of unit length below which the shapes are linearly dependent."""
+"""Singular value of unit-length shapes below which they are linearly dependent."""
 
 
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
-"""Length of each unit in m."""
+"""Size of each length unit in m."""
 DISTANT = 0.5
-"""Distance of a point from its node, in units of the mesh's spacing there, above which a warning is given."""
+"""Distance of a point from its node, in units of the local mesh spacing, above which a warning is given."""
 CLOSE_RIVAL = 0.1
 """A warning is also given if the second-nearest node is farther by less than this, in the same unit."""
 SNAPPED = 2.0
-"""Largest angle, in degrees, between axes of the test and of the model that count as parallel."""
+"""Largest angle, in degrees, between test axes and model axes that count as parallel."""
 _MOST_NAMED = 5
 _ROUGH, _BETTER = 0.1, 0.3
 """Mirrored points are tried if the distances exceed `_ROUGH` spacings, and reported if their distances are less

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 UNSEEN = 1e-12
-"""Squared norm of a shape at the sensors, relative to the largest, below which the shape is rounding only."""
+"""Squared norm of a shape at the sensors, relative to the largest, below which the shape is mere rounding."""
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,13 @@ from fmu.fem.modes.modal import ModalSolution, solve_spectrum
 from fmu.types import FloatArray, IntArray
 
 SPARE = 3
-"""Number of modes beyond the highest reference of a block that may be candidates."""
+"""Number of candidate modes beyond a block's highest reference mode."""
 SOFTNESS = 0.02
 """Temperature τ of the weights exp(MAC/τ): a shape with MAC 0 costs 1/τ = 50 nats."""
 AT_ONCE = 16
 """Number of points whose shapes are compared at once, which limits the memory."""
 Observed = Mapping[int, Observation] | None
-"""What the sensors see of each block whose shapes are compared, if it is known."""
+"""Observations of the blocks whose shapes are compared, by block index, if known."""
 
 
 class Pairing(ABC):

@@ -21,7 +21,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _STEP = 1e-4
-"""Longest step of a difference in a parameter, in units of its size. The error is of the order of its square."""
+"""Largest difference step for a parameter, in units of its size. The error is of the order of its square."""
 
 
 class Steps(NamedTuple):

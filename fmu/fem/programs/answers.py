@@ -13,7 +13,7 @@ from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 MOST_NUMBERS = 2**24
-"""Largest number of elements of an array that the function may return."""
+"""Largest number of elements in an array that the function may return."""
 _PARTS = ("frequencies", "shapes", "gradient")
 
 

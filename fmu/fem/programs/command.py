@@ -25,7 +25,7 @@ from fmu.formats.shown import quote
 from fmu.types import Dof
 
 STEP = 1e-3
-"""Step of central differences: large, as decks and results often have only seven significant figures."""
+"""Central-difference step: large, because decks and results often have only seven significant figures."""
 
 
 class CommandError(ValueError):

@@ -17,9 +17,9 @@ from fmu.durable_files import digest
 from fmu.fem.programs.deck_run import DeckRun
 
 UNIT = 1e-3
-"""Value of all other parameters in a unit run, relative to their start values."""
+"""Value of all other parameters in a unit run, relative to their starting values."""
 _CHECKED = 0.75
-"""Value of all parameters in the run that checks the others, relative to their start values."""
+"""Value of all parameters in the run that checks the others, relative to their starting values."""
 
 
 def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:

@@ -62,8 +62,8 @@ _KINDS = {
     10: "tetra10", 20: "hexahedron20",
 }  # fmt: skip
 _LEVELS, _JOINT, _CHECKS = 5, 6, 2
-"""Number of values of each parameter when it alone varies; of points where all vary, to be multiplied by one plus
-the number of parameters; and of points at which the model is checked."""
+"""Number of values for each parameter when only it varies; number of points where all vary, to be multiplied by
+one plus the number of parameters; and number of points at which the model is checked."""
 _INSIDE = 0.02
 _ASYMMETRIC = 1e-10
 

@@ -18,7 +18,7 @@ from fmu.formats.shown import in_words, quote
 from fmu.types import Dof, FloatArray
 
 MOST_KEPT = 20
-"""Largest number of folders of failed runs that are kept."""
+"""Largest number of failed runs whose folders are kept."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from fmu.progress.phases import count_solves
 from fmu.types import FloatArray
 
 SLOW_S = 0.05
-"""Time of a solve, in seconds, from which solves are stored and ``fmu run`` uses a surrogate."""
+"""Solve time, in seconds, from which solves are stored and ``fmu run`` uses a surrogate."""
 MOST_REASONS = 20
 MOST_BYTES = 2**28
 # The length of the longest reason that is kept in memory, and the memory of a solve without its arrays, in bytes.

@@ -22,7 +22,7 @@ from pathlib import Path
 
 _INSTALLED = {"site-packages", "dist-packages"}
 _LIBRARIES = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), str(Path(__file__).parents[2]))
-"""Folders of the modules of Python and of fmu."""
+"""Folders that contain the modules of Python and of fmu."""
 
 
 def source_digest(function: Callable[..., object]) -> str:

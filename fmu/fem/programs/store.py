@@ -31,14 +31,14 @@ _SUFFIX = ".json"
 _ARRAYS = ("theta", "frequencies", "shapes", "gradient")
 
 MOST_SCATTER = 1e-3
-"""Largest relative difference of a frequency between two solves of one theta that is taken for a solver's scatter.
-Iterative solvers stop at 1e-4 or below; a larger difference means another model."""
+"""Largest relative frequency difference between two solves at one theta that is attributed to the solver's
+scatter. Iterative solvers stop at 1e-4 or below; a larger difference means another model."""
 _MOST_TURNED = 0.01
-"""Largest sin² between two shapes: such a scatter rotates a mode this far towards one 1 % away in frequency."""
+"""Largest sin² between two shapes: this scatter can rotate a mode that far towards one 1 % away in frequency."""
 _ROUNDING = 1e-6
 """Relative difference that another processor may cause, too small to change a posterior."""
 _NO_MOTION = 1e-6
-"""Norm of a shape at the sensors, relative to the largest one, below which the shape is taken for zero there."""
+"""Norm of a shape at the sensors, relative to the largest one, below which the shape counts as zero there."""
 
 
 class StoreWarning(UserWarning):

@@ -280,7 +280,7 @@ class ReducedBlock(Block):
 
 
 Parts = tuple[FullBlock | ReducedBlock, ...]
-"""The blocks of a structure, of which some may be reduced."""
+"""Blocks of a structure, some of which may be reduced."""
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -23,7 +23,7 @@ from fmu.fem.reduced.space import Space, new_directions
 from fmu.types import FloatArray
 
 CONVERGED = 1e-8
-"""Estimated relative error of a frequency at which the iterations end; the last corrections are still added."""
+"""Estimated relative frequency error at which the iterations end; the last corrections are still added."""
 _MOST_STEPS = 12
 # Number of modes above the requested ones, and how many ranks below the highest requested mode σ may lie.
 _BEYOND = 3

@@ -19,7 +19,7 @@ from fmu.types import FloatArray
 
 _MOST_VECTORS = 1000
 MEMORY = 2**31
-"""Largest memory of a block's trial vectors in training, in bytes; while the space grows they are held twice."""
+"""Memory limit for a block's trial vectors in training, in bytes. While the space grows, two copies exist."""
 
 
 def affordable(n_dof: int) -> int:

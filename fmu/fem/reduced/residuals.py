@@ -39,11 +39,11 @@ from fmu.fem.reduced.space import Space
 from fmu.types import BoolArray, FloatArray, IntArray
 
 BUDGET = 2**28
-"""Memory in bytes for dense arrays of vectors of all degrees of freedom in training."""
+"""Memory limit in bytes for dense arrays of full-length vectors in training."""
 
 
 AHEAD = 3
-"""Number of modes above the bounded ones that are also computed."""
+"""Number of modes that are computed in addition to the bounded ones."""
 # The trial vectors represent a mode if its λ in them is at most this times its λ in the anchors' modes.
 _KNOWN = 1.1
 

@@ -22,7 +22,7 @@ from fmu.types import FloatArray
 
 _MOST_TERMS = 16
 MEMORY = 2**33
-"""Largest memory of the vectors W in bytes; a larger space solves for each residual by itself."""
+"""Memory limit for the vectors W, in bytes; a larger space solves for each residual separately."""
 _TOGETHER = 32  # vectors of a space whose right-hand sides are solved together
 
 

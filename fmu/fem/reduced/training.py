@@ -41,7 +41,7 @@ EXACT_LIMIT = 20
 # digits.
 _HIGHEST = 1e-7
 BUDGET = 400
-"""Largest cost of the visits in training, in solves of the full model (`fmu.fem.reduced.cost`)."""
+"""Largest cost of the visits in training, in units of full-model solves (`fmu.fem.reduced.cost`)."""
 CHEAP = 0.01
 """Cost of a full solve up to which the full model is used if the reduced model is inaccurate."""
 # Largest relative error of frequencies while the needed modes are selected from the candidates; only the needed

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _STRICT = 1e6  # penalty of a misclassified point: failures of a solver are not noise
 _WORDS_DEPTH = 3
 _NAMED = 0.2
-"""Smallest number of failures of a region that is described, relative to the region with the most failures."""
+"""Smallest number of failures in a region that is described, relative to the region with the most failures."""
 EDGE = 0.9
 """Largest |margin| of an undecided point; it is 1 at the solved and failed points nearest to the boundary."""
 

@@ -19,7 +19,7 @@ from fmu.fem.surrogate.process import Process
 from fmu.types import BoolArray, FloatArray
 
 _GROWN = 1.15
-"""Growth factor of the design since the last search at which hyper-parameters are searched for again."""
+"""Growth factor of the design after which hyper-parameters are searched for again."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ _SUPPORTS = {
     "YASYMM": (1, 3, 5),
     "ZASYMM": (1, 2, 6),
 }
-"""Directions held by each of Abaqus' named supports; *Keywords reference guide*, ``*BOUNDARY``."""
+"""Directions fixed by each of Abaqus' named supports; *Keywords reference guide*, ``*BOUNDARY``."""
 _LEAST = 1e-5
 """Smallest component of a local axis along the direction that CalculiX makes dependent."""
 

@@ -22,9 +22,9 @@ KEYWORDS = (
     "MPC",
 )
 UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT")
-"""Keywords of constraints that are not read, without blanks."""
+"""Constraint keywords that are skipped, without blanks."""
 MOST_CHARACTERS = 2**28
-"""Largest number of characters of sets and constraints."""
+"""Largest total number of characters in sets and constraints."""
 
 
 @dataclass(eq=False)

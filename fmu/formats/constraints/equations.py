@@ -18,7 +18,7 @@ from fmu.types import FloatArray
 RANK = 1e-10
 """Smallest pivot of a constraint, relative to its largest, that defines a dependent degree of freedom."""
 NEGLIGIBLE = 1e-14
-"""Weights below this, relative to the largest of an equation, are rounding errors."""
+"""Weights below this, relative to the largest in an equation, are rounding errors."""
 
 
 class Equation(NamedTuple):

@@ -21,13 +21,13 @@ from fmu.types import DIRECTIONS
 
 ENTRIES = ("RBE2", "RBE3", "RBAR", "MPC", "MPCADD", "SPCADD")
 UNREAD = ("RBE1", "RROD", "RTRPLT", "RSSCON", "RSPLINE", "RJOINT", "MPCAX", "SUPORT", "SUPORT1")
-"""Constraint entries that are not read."""
+"""Constraint entries that are skipped."""
 MOST_FIELDS = 2**22
-"""Largest number of fields of all constraints."""
+"""Largest total number of fields in all constraints."""
 _SELECTION = re.compile(r"(MPC|SPC)=(\d{1,9})$")
 
 Followed = list[tuple[list[int], float, list[int]]]
-"""The components, the weight, and the nodes of each group of an RBE3."""
+"""Components, weight and nodes of each group in an RBE3."""
 
 
 @dataclass(eq=False)

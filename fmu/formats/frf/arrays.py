@@ -45,7 +45,7 @@ NAMES = {
     "drives": ("drives",),
     "responses": ("responses",),
 }
-"""Names under which an array is found, by the attribute of `fmu.FRFData`."""
+"""Names that an array may have in a file, by `fmu.FRFData` attribute."""
 _HDF5 = (b"MATLAB 7.3", b"\x89HDF")
 
 

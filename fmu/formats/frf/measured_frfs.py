@@ -15,9 +15,9 @@ from fmu.formats.modes.measured_modes import ModesError, Place
 from fmu.types import AnyArray, Dof, FloatArray
 
 MOST_VALUES = 2**24
-"""Largest number of values, FRFs × lines, of a file: 256 MiB of complex numbers."""
+"""Largest number of values (FRFs × lines) in a file: 256 MiB of complex numbers."""
 Points = Sequence[tuple[Any, str]]
-"""Place and direction of the drive, or of the response, of each FRF."""
+"""Place and direction of each FRF's drive or response."""
 _NUMBER = re.compile(r"-?\d{1,18}")
 
 

@@ -39,14 +39,14 @@ from fmu.formats.shown import names_shown, quote
 from fmu.types import FloatArray
 
 MOST_ROWS = 300_000
-"""Largest number of rows of a table: 30 FRFs of 10 000 lines, one row per value."""
+"""Largest number of rows in a table: 30 FRFs of 10 000 lines, one row per value."""
 _FREQUENCY, _POINTS = "frequency_hz", ("response", "drive")
 _PAIRS = (("re", "im"), ("amplitude", "phase_deg"))
 _OPTIONAL = ("coherence", "sd")
 _COLUMN = re.compile(r"(.+?) */ *(.+) (re|im|amplitude|phase_deg|coherence|sd)")
 _POINT = re.compile(r".+ -?r?[xyz]")
 _Columns = dict[str, FloatArray]
-"""Columns of one FRF by their names."""
+"""Columns of one FRF, by name."""
 
 
 def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:

@@ -31,15 +31,15 @@ from fmu.types import DIRECTIONS, Dof, FloatArray
 FUNCTIONS, UNITS, SYSTEMS = 58, 164, (18, 2420)
 FRF, COHERENCE = 4, 6
 _FORCE = (9, 13)
-"""Data types of a force: reaction, excitation."""
+"""Force data types: reaction, excitation."""
 _KINDS = {8: "receptance", 11: "mobility", 12: "accelerance"}
-"""Kinds of FRFs by the data type of the response over a force."""
+"""FRF kinds, by the data type of the response that is divided by a force."""
 _UNKNOWN = (0, 1)
 _SHAPES: tuple[Kind, ...] = ("R", "C", "S")
 _ALONG = 1e-4
-"""Largest component perpendicular to a global axis of an axis that counts as parallel to it."""
+"""Largest component perpendicular to a global axis for which an axis counts as parallel to it."""
 _SAME_LINES = 1e-5
-"""Largest relative difference of the frequencies of two FRFs, which have six digits in a file."""
+"""Largest relative difference between the frequency lines of two FRFs, which have six digits in a file."""
 
 
 def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:

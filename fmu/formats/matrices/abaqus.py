@@ -44,9 +44,9 @@ from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray, IntArray
 
 LARGEST_NUMBER = 10**9
-"""Largest number of a node, a row or a column."""
+"""Largest node, row or column number."""
 HELD = 1e30
-"""Diagonal stiffness from which a degree of freedom is taken as held by a support; Abaqus writes 1e36 there."""
+"""Diagonal stiffness from which a degree of freedom counts as fixed by a support; Abaqus writes 1e36 there."""
 
 
 def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | None]:
@@ -96,12 +96,12 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
 
 
 OF_ELEMENTS = b"*USER ELEMENT"
-"""Keyword of each element in a file of their matrices."""
+"""Keyword that starts each element in a file of element matrices."""
 _KINDS = ("stiffness", "mass")
 _AT_A_TIME = 2**20
-"""Number of entries that are collected before they are added to the sum."""
+"""Number of entries collected before they are added to the sum."""
 _MOST_NODES = 100
-"""Largest number of nodes of an element."""
+"""Largest number of nodes per element."""
 
 
 class _Element(NamedTuple):

@@ -39,7 +39,7 @@ from fmu.types import DIRECTIONS
 
 LARGEST_NODE = 10**9
 _MOST_NODES = 100
-"""Largest number of nodes of an element."""
+"""Largest number of nodes per element."""
 
 
 def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:

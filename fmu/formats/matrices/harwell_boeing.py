@@ -19,7 +19,7 @@ from fmu.formats.matrices.limits import Labelled, MatrixFormat, check_indices, e
 from fmu.types import FloatArray
 
 LONGEST_LINE = 4096
-"""Longest line that is accepted, bytes; the format specifies lines of 80."""
+"""Longest line accepted, in bytes; the format specifies 80."""
 
 
 def parse(file: BinaryIO) -> sp.csc_array:

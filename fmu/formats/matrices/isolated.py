@@ -18,11 +18,11 @@ from fmu.formats.shown import one_line
 from fmu.types import AnyArray
 
 LONGEST = 300
-"""Longest time that a reader may take, s."""
+"""Time limit for a reader, s."""
 LARGEST_MEMORY = 2**33
-"""Largest address space of a reader's process, bytes, on systems that can limit it."""
+"""Largest address space for a reader's process, bytes, on systems that can limit it."""
 _TOLD = 3
-"""Exit code of a reader's process that reported an error."""
+"""Exit code of a reader process that reported an error."""
 
 
 def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, AnyArray]:

@@ -16,15 +16,15 @@ from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
 LARGEST_FILE = 2**30
-"""Largest size of a file, bytes; a larger file is refused before it is read."""
+"""Largest file size, bytes; a larger file is rejected before it is read."""
 LARGEST_CONTENT = 2**29
-"""Largest size of a file's content after decompression, bytes."""
+"""Largest size of a file's decompressed content, bytes."""
 MOST_DOFS = 2**20
 MOST_ENTRIES = 2**24
-"""Largest number of entries of a matrix: 4096 full rows, or 100 000 rows of a solid model with 160 entries each.
+"""Largest number of entries in a matrix: 4096 full rows, or 100 000 rows of a solid model with 160 entries each.
 Reading them takes less than 1 GiB of memory."""
 MOST_NAMES = 10_000
-"""Largest number of variables in a file, and of members of a group."""
+"""Largest number of variables in a file, and of members in a group."""
 BLOCK = 2**22
 """Number of bytes read at a time; no line of numbers may be longer."""
 MOST_IDLE = 4

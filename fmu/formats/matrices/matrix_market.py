@@ -27,10 +27,10 @@ from fmu.types import FloatArray
 
 BANNER = b"%%matrixmarket"
 LONGEST_LINE = 4096
-"""Largest length of the banner, of a comment and of the line of sizes, bytes."""
+"""Largest length, in bytes, of the banner, a comment or the line with the sizes."""
 MOST_COMMENTS = 100_000
 SHORTEST_ENTRY = {"coordinate": 6, "array": 2}
-"""Smallest number of bytes of an entry: ``1 1 1`` or ``1``, and the end of the line."""
+"""Smallest number of bytes in an entry: ``1 1 1`` or ``1``, and the line end."""
 _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
 
 

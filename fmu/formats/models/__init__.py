@@ -7,4 +7,4 @@ The matrices are read by `fmu.formats.matrices`.
 from fmu.formats.models import ansys, bulk, inp
 
 FORMATS = (inp.FORMAT, ansys.CDB, ansys.RST, bulk.FORMAT)
-"""Formats of files with nodes and elements."""
+"""File formats with nodes and elements."""

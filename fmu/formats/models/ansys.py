@@ -35,7 +35,7 @@ _KINDS = {
     14: {5: "pyramid", 13: "pyramid13"},
     27: {13: "pyramid13"},
 }
-"""Element kinds by meshio's names, for each of VTK's cell types and number of nodes."""
+"""Element kinds (meshio's names), by VTK cell type and number of nodes."""
 
 
 class _Grid(Protocol):

@@ -39,7 +39,7 @@ _ELEMENTS: dict[str, tuple[int, tuple[tuple[str, int], ...]]] = {
     "CPENTA": (2, (("wedge15", 15), ("wedge", 6))),
     "CHEXA": (2, (("hexahedron20", 20), ("hexahedron", 8))),
 }
-"""For each element entry, the field of the first node, and the kind and number of nodes with and without midside
+"""For each element entry: the field of the first node, and the kinds and node counts with and without midside
 nodes."""
 _ORDER = {"hexahedron20": _HEXAHEDRON, "wedge15": _WEDGE}
 _SET = ("ASET", "ASET1", "SPC", "SPC1")

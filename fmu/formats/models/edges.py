@@ -8,10 +8,10 @@ from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.types import FloatArray, IntArray
 
 MOST_EDGES = 1000
-"""Number of edges above which only some are drawn: edges at a border, at an angle, or between two boxes in
+"""Number of edges above which only some are plotted: edges at a border, at an angle, or between two boxes in
 space."""
 _BOXES = (10, 5, 2, 1)
-"""Numbers of boxes along the longest side of a mesh; the first to give at most 2 `MOST_EDGES` lines is used."""
+"""Numbers of boxes along a mesh's longest side; the first that gives at most 2 `MOST_EDGES` lines is used."""
 _ANGLE = np.cos(np.radians(30.0))
 FACES = {
     "triangle": ((0, 1, 2, 2),),

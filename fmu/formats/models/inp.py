@@ -36,7 +36,7 @@ _FACES_OF = {
     "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "hexahedron": ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)),
 }
-"""Indices of the corners of the faces S1, S2 … of CalculiX and Abaqus."""
+"""Corner indices of faces S1, S2 … in CalculiX and Abaqus."""
 _REFUSED = {
     "INCLUDE": "the files that *INCLUDE names are not followed: put their lines in its place",
     "PART": "it has parts and instances, whose nodes have other numbers in the matrices: write a deck without "

@@ -42,7 +42,7 @@ INCLUDING = (*BULK_DATA, ".pch", ".dmig")
 _INITIALS = (("K", "M"), ("k", "m"))
 _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
 MESHES = tuple(_FORMAT_OF)
-"""Suffixes of files with nodes and elements."""
+"""File suffixes of formats with nodes and elements."""
 
 
 @check_arguments

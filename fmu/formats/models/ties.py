@@ -20,9 +20,9 @@ from fmu.types import FloatArray
 
 _AXES = ("x", "y", "z")
 _NEAREST = 16
-"""Number of faces that are tried for a node."""
+"""Number of nearby faces tried for each node."""
 _PRINTED = 1e-6
-"""Allowed error of a displacement, relative to the mode's largest: ten times the rounding to seven digits."""
+"""Displacement error allowed, relative to the mode's largest: ten times the rounding to seven digits."""
 _STEPS = 30
 
 

@@ -52,7 +52,7 @@ from fmu.formats.shown import names_shown, quote
 from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
-"""Largest number of rows of a table."""
+"""Largest number of rows in a table."""
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd", "use")
 _YES_OR_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _TEST, _NAME, _GROUP = "test", "name", "group"

@@ -40,7 +40,7 @@ _VALUE = re.compile(rf"\s*(\d{{1,9}})\s+\d{{1,9}}\s+({_REAL})\s+({_REAL})\s+({_R
 _ROW = re.compile(rf"[01 ]\s*(\d{{1,10}})\s+([GS]|\d{{1,9}})\s+({_REAL}(?:\s+{_REAL}){{0,5}})\s*$")
 _MYSTRAN_TITLE = re.compile(r"\s*OUTPUT FOR EIGENVECTOR\s+(\d{1,9})\s*$")
 _MYSTRAN_VECTOR = "E I G E N V E C T O R"
-"""Heading of a table of displacements; tables of other quantities, such as forces, have the same title line."""
+"""Heading of a displacement table; tables of other quantities, such as forces, have the same title line."""
 _FATAL = re.compile(r"FATAL MESSAGE|\*ERROR")
 
 

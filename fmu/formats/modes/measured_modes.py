@@ -18,17 +18,17 @@ from fmu.numbers import apart, given
 from fmu.types import DIRECTIONS, Dof, FloatArray
 
 LARGEST_FILE = 2**26
-"""Largest size of a file with modes, bytes; a larger file is refused before it is read."""
+"""Largest size of a file with modes, bytes; a larger file is rejected before it is read."""
 MOST_MODES = 1000
 """Largest number of modes in a file, far more than a test identifies."""
 LEAST_MPC = 0.8
-"""Default of the smallest modal phase collinearity at which a complex shape is accepted."""
+"""Default for the smallest modal phase collinearity at which a complex shape is accepted."""
 
 
 Place = int | str
 """Location of a sensor: a node id or a name."""
 Sensors = Sequence[Dof]
-"""Place and direction of each sensor; a minus before the direction reverses the sign."""
+"""Place and direction of each sensor; a minus sign before the direction reverses the sensor's sign."""
 ModeNumber = Annotated[int, Ge(1)]
 Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
 

@@ -41,7 +41,7 @@ from fmu.types import AnyArray, FloatArray
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Phi_std", "Xi")
 FIXED = 1e-3
-"""Standard deviation of a component that scales its shape, relative to the smallest of the other components."""
+"""Standard deviation assigned to the component that scales its shape, relative to the smallest of the others."""
 
 
 def pyoma_modes(

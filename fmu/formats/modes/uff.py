@@ -47,14 +47,14 @@ REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
 MOST_DATASETS = 10_000
 LARGEST_DATASET = 2**23
-"""Largest size of a dataset, bytes: about 150 000 nodes."""
+"""Largest dataset size, bytes: about 150 000 nodes."""
 _MOTION = (0, 1, 8, 11, 12)
 """Specific data types: unknown, general, displacement, velocity, acceleration."""
 _TAG = b"    -1"
 Dataset = Mapping[str, AnyArray]
-"""A dataset as pyuff returns it: numbers and arrays by their names."""
+"""A dataset as pyuff returns it: numbers and arrays by name."""
 _Written = dict[str | int, object]
-"""A dataset as pyuff writes it; the keys of groups of elements are the numbers of their types."""
+"""A dataset as pyuff writes it; the keys of element groups are type numbers."""
 
 
 def read_uff(

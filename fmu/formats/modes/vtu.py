@@ -36,7 +36,7 @@ CELLS = {
 }
 """Element kinds by meshio's names; for kinds such as ``"hexahedron20"``, only the corners are written."""
 _WEDGE = (0, 2, 1, 3, 5, 4)
-"""VTK's order of the corners of a wedge, whose first triangle is seen from inside."""
+"""VTK's corner order for a wedge, whose first triangle is seen from inside."""
 _TYPES = {"d": ("Float64", "<f8"), "f": ("Float32", "<f4"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}
 
 

@@ -9,7 +9,8 @@ from fmu.numbers import significant, whole
 from fmu.progress.phases import tell_fact
 
 LARGE = 20_000
-"""Degrees of freedom of a block from which on a factorisation is dear: factors are kept and used again."""
+"""Number of degrees of freedom from which factorising a block is so expensive that factors are stored and
+reused."""
 
 
 def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense the model") -> None:

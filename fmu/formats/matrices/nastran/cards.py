@@ -12,7 +12,7 @@ from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.shown import quote
 
 MOST_FIELDS = 2**20
-"""Largest number of fields of an entry, continuations included."""
+"""Largest number of fields in an entry, continuations included."""
 LARGEST_ID = 10**9
 
 

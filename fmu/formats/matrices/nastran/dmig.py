@@ -23,7 +23,7 @@ from fmu.formats.matrices.nastran.includes import deck_lines
 from fmu.types import DIRECTIONS
 
 SYMMETRIC = 6
-"""Code of a symmetric matrix, for which only one entry of each symmetric pair is given."""
+"""Code for a symmetric matrix, of which only one entry of each symmetric pair is given."""
 
 
 def _read(path: Path, variable: str | None) -> Labelled:

@@ -33,13 +33,13 @@ from fmu.formats.matrices.limits import (
 from fmu.types import AnyArray
 
 REAL = (1, 2)
-"""Types of real matrices in single and double precision; types 3 and 4 are complex."""
+"""Real matrix types in single and double precision; types 3 and 4 are complex."""
 LARGEST = 2**34
-"""Largest size of a file, bytes: a matrix of 46 000 rows with full columns."""
+"""Largest file size, bytes: a matrix of 46 000 rows with full columns."""
 LARGEST_RECORD = 2**26
-"""Largest size of a column, bytes."""
+"""Largest column size, bytes."""
 SMALL_ROWS = 65535
-"""Largest number of rows of a sparse matrix without BIGMAT; with BIGMAT, two integers precede each string."""
+"""Largest number of rows in a sparse matrix without BIGMAT; with BIGMAT, two integers precede each string."""
 _OF_MYSTRAN = tuple(f".ou{unit}" for unit in range(1, 8))
 
 
