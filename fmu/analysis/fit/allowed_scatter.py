@@ -51,7 +51,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on how to allow for the misfit and what that would do; empty if no remedy is known."""
+    """Return sentences on how to allow for the misfit, and on the effect of this; empty if no remedy is known."""
     responses = problem_of(trace).get("likelihood", {}).get("responses")
     if responses:
         return "" if "discrepancy" in responses[0] else REMEDY_OF_FRFS

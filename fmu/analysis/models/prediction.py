@@ -97,7 +97,7 @@ def predict_modes(
 
 
 def _index_of(problem: UpdatingProblem, test: str | None) -> int:
-    """Return the index of a test, which may be None if there is only one. Raise ValueError for an unknown test."""
+    """Return the index of a test by name; None means the only test. Raise ValueError for an unknown test."""
     names = [one.name for one in problem.tests]
     if test is None and len(names) == 1:
         return 0

@@ -100,7 +100,7 @@ def find_candidates(
     ----------
     structure : SeparableModel
     given : sequence of (place, direction), optional
-        Possible channels. Defaults to all translations of the nodes.
+        Channels that sensors may measure. Defaults to all translations of the nodes.
     mounted : sequence of (place, direction)
         Channels that are already mounted.
     exclude : collection of place

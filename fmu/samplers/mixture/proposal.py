@@ -208,8 +208,8 @@ def fit_mixture(points: Points, start: Mixture) -> Mixture:
     2. In a few EM sweeps, each component's quadratic is fitted to the points, weighted by its responsibilities,
        that is the probabilities that it produced each point. Their sum is the component's weight. A component with
        too few points, such as a maximum with a few percent of the probability, stays unchanged.
-    3. Components are split while the fit is not good and there are enough points. 4. If the fit is still poor, as
-    along a curved ridge, components take their points' mean and covariance instead.
+    3. Components are split while the fit is not good and there are enough points.
+    4. If the fit is still poor, as along a curved ridge, components take the mean and covariance of their points.
     """
     responsibility = start.responsibilities(points.position)
     warp = _choose_warp(points, responsibility, start.warp)

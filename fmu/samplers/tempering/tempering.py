@@ -216,7 +216,7 @@ class LadderTuner:
 
 
 def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return inverse temperatures in ascending order; raise ValueError unless they run from 0 to 1 and differ."""
+    """Sort inverse temperatures in ascending order; raise ValueError unless they run from 0 to 1 and differ."""
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
         raise ValueError(f"{name}: must be distinct inverse temperatures from 0 to 1, with both (got {value!r})")
