@@ -34,7 +34,7 @@ def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
 
 
 def problem_of(case: str, pairing: str | None) -> KeptProblem:
-    """Return the problem file of a built-in case or of a user, with its pairing, before the problem is built.
+    """Return a built-in case's or a user's problem file, with its pairing, before the problem is built.
 
     Raises
     ------

@@ -53,7 +53,7 @@ run. When pages are written, nearly all new objects are small and in use."""
 def _option[Command: Callable[..., object]](
     name: str, kind: click.ParamType | type | None, text: str, **more: Any
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds an option, with the default of the `fmu.sample` argument of the same name."""
+    """Return a decorator that adds an option, with the default of the same-named `fmu.sample` argument."""
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
         more |= {"default": default, "show_default": True}
@@ -323,7 +323,7 @@ def _begin_run(
 
 
 def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> None:
-    """Print an estimate of the time and number of solves that the run will take."""
+    """Print how much time and how many solves the run is expected to take."""
     from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts
 

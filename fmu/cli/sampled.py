@@ -269,7 +269,7 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 
 @contextmanager
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
-    """Yield the engine that advances groups of chains.
+    """Yield the engine that advances chain groups.
 
     Because a user's function is expensive, the workers share the evaluations in each step, and the chains advance
     in this process, unless groups are requested.

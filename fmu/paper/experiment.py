@@ -205,7 +205,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return the fraction of draws with each combination of paired modes, from about 2000 of a trace's draws."""
+    """Return how often each combination of paired modes occurs, as a fraction of about 2000 draws."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))

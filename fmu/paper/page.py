@@ -323,7 +323,7 @@ def _count(value: Any) -> Any:
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return a setting in words, with the values of numbers and the shapes of arrays."""
+    """Return a setting in words: numbers by their values, arrays by their shapes."""
     table, several, number = mapping_in(value), list_in(value), number_in(value)
     if table is not None:
         return [words for key, item in table.items() for words in _brief(key, item)]

@@ -56,7 +56,7 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
 
 
 def shares(names: StrArray) -> dict[str, float]:
-    """Return the fraction of rows with each combination of names, the most common combination first."""
+    """Return the fraction of rows for each combination of names, the most common one first."""
     counts = Counter(" ".join(row) for row in names.tolist())
     return {combination: count / len(names) for combination, count in counts.most_common()}
 

@@ -220,7 +220,7 @@ def _likelihood_of_frfs(
     discrepancy: Discrepancy | Sequence[Discrepancy],
     layout: Layout,
 ) -> Likelihood:
-    """Return the joint likelihood of frequency response functions and of any modes with error models."""
+    """Return the joint likelihood of frequency response functions and any modes with error models."""
     errors = Errors.of(given)
     of_frfs = list(errors.of_frfs.values())
     if len(layout.tests) == 1:

@@ -54,8 +54,8 @@ def local_maxima(
     consists of mode errors, all points ascend together by Gauss–Newton steps (`ascend`). Where several ascents
     have come close together just below a maximum, only the highest continues. Of the ascents that stall at a kink,
     the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other likelihood, every point
-    ascends by L-BFGS-B. Two results are the same maximum if no valley separates them: on the straight line between
-    the two points, the log-probability is nowhere more than 0.1 below the lower of the two values.
+    ascends by L-BFGS-B. Two results are the same maximum if no valley separates them. This means that on the
+    straight line between them, the log-probability is nowhere more than 0.1 below the lower value.
 
     If the model has a discrepancy, the points ascend without it first, and the highest eight ends continue with
     it. In addition, 64 of them ascend with it from the first step (`_starts_with_discrepancy`).
@@ -64,9 +64,9 @@ def local_maxima(
     ----------
     problem : UpdatingProblem
     starts : int
-        Number of starting points, at least 1; the first is ``problem.start``. Where modes swap, few ascents may
-        reach an important maximum: in the example cantilever-section, with pairing by number, one in twelve
-        reaches the maximum that holds nearly all of the probability.
+        Number of starting points, at least 1; the first is ``problem.start``. Where modes swap, few ascents
+        may reach an important maximum. In the example cantilever-section, with pairing by number, one in
+        twelve reaches the maximum with nearly all of the probability.
     seed : int
     near : ndarray, shape (n, ndim), optional
         Further starting points, in SI units.
@@ -206,7 +206,7 @@ def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, see
 
 
 def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
-    """Return the highest point of each group of close end points, (n, ndim), and each group's size, (n,)."""
+    """Return the highest point, (n, ndim), and the size, (n,), of each group of close end points."""
     chosen, starts = list[int](), list[int]()
     left = np.argsort(ends.value)
     left = left[np.isfinite(ends.value[left])]

@@ -1,7 +1,7 @@
 """Check that rounding errors in the matrices are smaller than the measurement errors.
 
-An entry of K is rounded to one part in 10¹⁶. If stiff parts hardly strain, such as a rigid link, or a spring of
-1e16 N/m beside springs of 1e5 N/m, their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
+An entry of K is rounded to one part in 10¹⁶. Some stiff parts hardly strain, such as a rigid link, or a spring of
+1e16 N/m beside springs of 1e5 N/m. Their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
 large numbers. The error in the eigenvalue λ is then
 
     δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,

@@ -95,7 +95,7 @@ class LogScaledDensity(ScaledDensity):
     are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is this wide, all values
     equal those of `ScaledDensity` to the last bit.
 
-    In θ, an ascent that has moved far out does not return: a nearly rigid spring has no influence on the modes,
+    In θ, an ascent that has moved far out does not return. A nearly rigid spring has no influence on the modes,
     and the slope of the log-density decreases as 1/θ. In log θ the log-prior is a parabola, whose slope leads
     back.
 

@@ -26,10 +26,10 @@ class Checkpoint:
     directory : path-like
         A directory for this run only, created if it does not exist.
     draws : int
-        Largest number of steps that a group of chains loses if the run is killed.
+        Largest number of steps that a chain group loses if the run is killed.
     seconds : float
-        Largest sampling time in s that a group of chains loses if the run is killed. If a single step takes
-        longer, the group loses this step.
+        Largest sampling time in s that a chain group loses if the run is killed. If a single step takes longer,
+        the group loses this step.
 
     Raises
     ------

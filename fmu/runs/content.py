@@ -1,4 +1,4 @@
-"""The files in a checkpoint: steps in HDF5, and the state of a group of chains as NumPy arrays with JSON data."""
+"""The files in a checkpoint: steps in HDF5, and the state of each chain group as NumPy arrays with JSON data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """A saved state's entry for one file of steps.
+    """A saved state's entry for one step file.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Segment(NamedTuple):
 
 
 class SavedState(NamedTuple):
-    """State of a group of chains when it was saved.
+    """State of a chain group when it was saved.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ def read_state(path: Path) -> SavedState:
 
 
 def read_segment(directory: Path, segment: Segment) -> bytes:
-    """Return the bytes in a file of steps; raise DamagedError if the file is missing or has changed."""
+    """Return the bytes of a step file; raise DamagedError if the file is missing or has changed."""
     try:
         content = (directory / segment.name).read_bytes()
     except OSError as error:

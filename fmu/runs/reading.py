@@ -1,4 +1,4 @@
-"""Read a sampler's progress from the files of its groups of chains or, if it has finished, from its trace."""
+"""Read a sampler's progress from its chain groups' files or, if it has finished, from its trace."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a group of chains, or of all groups of a sampler together; NaN and None mean unknown.
+    """Progress of one chain group, or of all chain groups together; NaN and None mean unknown.
 
     Attributes
     ----------
     group : str
-        Number of the group and number of groups, such as ``2/4``; empty for all groups together.
+        Which group out of how many, such as ``2/4``; empty for all groups together.
     phase : str
         "warmup", "draws", or empty if nothing has been saved yet.
     done : int
@@ -42,7 +42,7 @@ class Progress:
         Largest R-hat and smallest effective sample size of any parameter, from all groups' draws; NaN in the
         progress of a single group.
     solves, failed : int
-        Number of solves and of failed solves, including warm-up.
+        Numbers of all solves and of failed solves, including warm-up.
     solves_per_s : float
     remaining_s : float or None
         Remaining time in s at the pace so far.
@@ -66,7 +66,7 @@ class Progress:
 
 
 class KeptGroup(NamedTuple):
-    """A group of chains as last saved.
+    """A chain group as last saved.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """Data for diagnostics from a file of steps: accepted moves, all moves, and draws (None in warm-up)."""
+    """Data for diagnostics from a step file: accepted moves, all moves, and draws (None in warm-up)."""
 
     accepted: int
     moves: int
@@ -157,7 +157,7 @@ class _Steps(NamedTuple):
 
 
 class GroupReader:
-    """Reads the files of a group of chains, repeatedly if needed; each file of steps is read only once.
+    """Reads a chain group's files, repeatedly if needed; each step file is read only once.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class GroupReader:
 
 
 def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Progress:
-    """Combine the progress of all groups of a sampler."""
+    """Combine the progress of a sampler's chain groups."""
     begun = [group for group in groups if group.phase]
     if not begun:
         return Progress()

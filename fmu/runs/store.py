@@ -46,12 +46,12 @@ class OtherArithmeticWarning(UserWarning):
 
 
 class Store:
-    """A run's checkpoint in a directory, which saves and restores the groups of chains.
+    """A run's checkpoint in a directory, which saves and restores the chain groups.
 
-    Each group has its own directory; the first is ``group-1``. Its files ``steps-000001.h5``, … contain the draws
-    in HDF5. A file such as ``state-000007`` contains the data that the sampler needs to continue after these
-    draws, and a list of the files of steps with their checksums. Files are written atomically, so the directory
-    can be read at any time. Files of steps that are not listed in a state are ignored, and their steps are drawn
+    Each group has its own directory; the first is ``group-1``. Its step files ``steps-000001.h5``, … contain the
+    draws in HDF5. A state file such as ``state-000007`` contains the data that the sampler needs to continue after
+    these draws, and a list of the step files with their checksums. Files are written atomically, so the directory
+    can be read at any time. Step files that are not listed in a state are ignored, and their steps are drawn
     again. ``failures.csv`` lists the failed solves, if there are any.
 
     Parameters
@@ -115,7 +115,7 @@ class Store:
         return SavedGroup(state.group_state, state.elapsed_s, files.steps())
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return True if a group must be saved, given the number of steps since it was last saved."""
+        """Return True if a group must be saved, given the number of steps since its last save."""
         waited = time.monotonic() - self._saved_at[group]
         return steps >= self.most_steps or waited >= self.most_seconds - LIVE_S
 
@@ -182,7 +182,7 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest undamaged state whose files of steps are undamaged too, or None if there is none.
+        """Return the newest state that is undamaged together with its step files, or None if there is none.
 
         Later calls of `append` continue from this state.
         """
@@ -209,7 +209,7 @@ class _GroupFiles:
             yield segment.phase, segment.first, unpacked_steps(read_segment(self.directory, segment))
 
     def failures(self, group: int) -> list[FailedSolves]:
-        """Return the failed solves, with one entry for each file of steps that contains failures."""
+        """Return the failed solves, with one entry for each step file that contains failures."""
         return [
             _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments
@@ -217,7 +217,7 @@ class _GroupFiles:
         ]
 
     def append(self, configuration: str, pending: PendingGroup) -> Segment:
-        """Write a file of steps and a state that lists it; remove older states; return the file's entry."""
+        """Write a step file and a state that lists it; remove older states; return the step file's entry."""
         make_directory(self.directory)
         content = packed_steps(pending.steps, pending.failures)
         stats = pending.steps.stats

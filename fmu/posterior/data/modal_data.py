@@ -49,9 +49,9 @@ class ModalData:
         Error standard deviations for the components of shapes scaled to unit length at the sensors. A scalar
         applies to all components; one number per mode applies to all sensors.
     counterparts : tuple of int, optional
-        For pairing by shape if no shapes were measured: the number of the model's mode before updating that
-        corresponds to each measured mode, counted from 1 among the elastic modes that move a sensor. Defaults
-        to the lowest of these modes, in ascending order.
+        For pairing by shape if no shapes were measured: the model's mode before updating that corresponds to
+        each measured mode. Modes are numbered from 1 among the elastic modes that move a sensor. Defaults to
+        the lowest of these modes, in ascending order.
     tests : RepeatedTests, optional
         The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
         one more test, and to check whether the tests are independent.

@@ -122,8 +122,8 @@ class RepeatedTests:
         divided by s_i/√n_i has Student's t distribution, because s_i is itself an estimate. This distribution is
         replaced by the Gaussian with the same central 95 % interval. The Gaussian's standard deviation is s_i/√n_i
         · t_0.975(ν)/1.96 (the expanded uncertainty in JCGM 100:2008, GUM, annex G.3, divided by the normal
-        factor): 6.5 s_i/√n_i for two tests, 2.2 s_i/√n_i for three, 1.4 s_i/√n_i for five and 1.05 s_i/√n_i for
-        twenty-five.
+        factor). This is 6.5 s_i/√n_i for two tests, 2.2 s_i/√n_i for three, 1.4 s_i/√n_i for five and 1.05
+        s_i/√n_i for twenty-five.
         """
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
@@ -164,12 +164,12 @@ class RepeatedTests:
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw deviations of one further test's frequencies from the structure's true ones, (size, n_modes), Hz.
 
-        A single test's standard deviation is estimated from n tests and, with the prior ∝ 1/s, integrated out: the
-        deviations are s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive
+        A single test's standard deviation, estimated from n tests, is integrated out with the prior ∝ 1/s. The
+        deviations are then s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive
         interval from a model that can fit the mean is a little too wide, because the Gaussian in `mean` is widened
-        too: a 90 % interval has a coverage of 93 % for two tests, 92 % for three, and 90 % for five or more. If
-        the scatter is "joint", the deviations have the multivariate t distribution with n − n_modes degrees of
-        freedom and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
+        too. A 90 % interval then covers 93 % for two tests, 92 % for three, and 90 % for five or more. If the
+        scatter is "joint", the deviations have the multivariate t distribution with n − n_modes degrees of freedom
+        and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
         """
         values = np.asarray(self.frequencies_hz)
         z = rng.standard_normal((size, values.shape[1]))

@@ -25,7 +25,7 @@ def by_second_derivatives(
     noise: FloatArray,
     by_slope: FloatArray,
 ) -> FloatArray:
-    """Return the parameter derivatives (n, m, p) of a function of the residuals' slopes, from second derivatives.
+    """Differentiate a function of the residuals' slopes with respect to the parameters; return shape (n, m, p).
 
     Each mode needs one weighted sum of second derivatives, which `exact` computes.
 
@@ -39,8 +39,8 @@ def by_second_derivatives(
     noise : ndarray, shape (n, n_noise)
         Inferred error sds.
     by_slope : ndarray, shape (n, m, k, p)
-        Derivatives of the function with respect to the slopes of all k residuals of a mode, one error model after
-        the other.
+        Derivatives of the function with respect to the slopes of a mode's k residuals, one error model after the
+        other.
     """
     d, of_shapes = np.zeros(exact.gradient.shape), None if exact.shape_slopes is None else 0.0 * exact.shape_slopes
     found = np.zeros(d.shape)

@@ -114,8 +114,8 @@ class LatentErrors:
     def slopes(self) -> Slopes:
         """Return the derivatives of the summed `terms`.
 
-        With the mean ẑ, ŵ and the covariance Cov of the latent errors given the residuals, F = (A, a) and
-        e = r − F(ẑ, ŵ), the derivatives are F(ẑ, ŵ) with respect to r and e(ẑ, ŵ)ᵀ − F Cov with respect to F.
+        Let ẑ, ŵ and Cov be the mean and covariance of the latent errors given the residuals, F = (A, a) and e = r
+        − F(ẑ, ŵ). The derivatives are F(ẑ, ŵ) with respect to r and e(ẑ, ŵ)ᵀ − F Cov with respect to F.
         """
         z, w, of_z, of_both, of_w = self.given_residuals()
         A, a, last = self.loads, self.common, self.last
@@ -244,7 +244,7 @@ class LatentErrors:
         return np.asarray(np.eye(A.shape[3]) - np.swapaxes(A, 2, 3) * (A / self._variance[..., None, None]))
 
     def _sum(self, x: FloatArray) -> FloatArray:
-        """Return the cumulative sum of x over the rows of each group, shape (n, m, …)."""
+        """Return cumulative sums of x within each group of rows, shape (n, m, …)."""
         if not len(self._later):
             return x
         total = x.copy()
@@ -253,7 +253,7 @@ class LatentErrors:
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
-        """Return the increments of `total`, a cumulative sum over the rows of each group, shape (n, m, …)."""
+        """Return the increments of `total`, cumulative sums within each group of rows, shape (n, m, …)."""
         if not len(self._later):
             return total
         found = total.copy()

@@ -34,8 +34,8 @@ _COMPLEX_STEP = 1e-30  # relative; a complex step subtracts nothing, so it may b
 class DiscrepantLikelihood(ModalLikelihood):
     """A `ModalLikelihood` with model discrepancy: mode g has its own parameters θ + s τ z_g.
 
-    To first order in τ, mode g's residuals (its frequency and shape in all tests) are then Gaussian with the
-    covariance I + J T² Jᵀ, T = diag(s τ), in measurement standard deviations. One z_g serves all tests, because
+    To first order in τ, mode g's residuals (its frequency and shape in all tests) are then Gaussian. Their
+    covariance is I + J T² Jᵀ, T = diag(s τ), in measurement standard deviations. One z_g serves all tests, because
     model error does not average out over tests. A mode's term in a later test is conditional on the earlier tests;
     the terms sum to the joint log-density, determinant included.
 

@@ -104,7 +104,7 @@ class ModelErrors:
         return len(self.in_common) + sum(one.n_common for one in self.modes)
 
     def as_list(self) -> list[Plain]:
-        """Return the settings as a list of dicts of plain Python types."""
+        """Return the settings as a list of dicts with plain Python types."""
         scatters = [one.as_dict() for one in self.scatters if len(self.scattered)]
         return [*scatters, *(one.as_dict() for one in self.modes)]
 
@@ -122,9 +122,9 @@ class ModelErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the parameter derivatives, (n, m, p), of a function that depends on the modes' `units`.
+        """Differentiate a function of the modes' `units` with respect to the parameters; shape (n, m, p).
 
-        `by_own` has its derivatives with respect to them; see `ModeErrors.change_of_units`.
+        `by_own` has its derivatives with respect to the units; see `ModeErrors.change_of_units`.
         """
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
@@ -198,7 +198,7 @@ class ModelErrors:
         return LatentErrors(rows.residuals, loads, shared, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
-        """Return the derivatives of the summed terms of `latent`, which has the same rows."""
+        """Differentiate the summed terms of `latent`, which has the same rows."""
         found = latent.slopes()
         by_own, by_common = (
             by * np.sqrt(variance)[:, None, None]

@@ -110,7 +110,7 @@ class ModeErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the parameter derivatives, (n, n_modes, n_parameters), of a function of each mode's own `units`.
+        """Differentiate a function of each mode's own `units` by the parameters; shape (n, n_modes, n_parameters).
 
         For shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the
         derivatives `by_own` of the function with respect to the units, (n, n_modes, k, n_own). Its derivatives

@@ -46,7 +46,7 @@ class ErrorModel(Protocol):
         ...
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of errors of this kind in `data`."""
+        """Return how many errors of this kind `data` have."""
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
@@ -181,7 +181,7 @@ class ErrorTerm:
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None, FloatArray]:
-        """Return the parameter derivatives of a function of the residuals' slopes.
+        """Differentiate a function of the residuals' slopes with respect to the parameters.
 
         The slopes are the derivatives of `residuals_within`.
 
@@ -197,7 +197,7 @@ class ErrorTerm:
         Returns
         -------
         of_frequency, of_shape : ndarray, (n, n_modes, n_parameters) and (n, n_sensors, n_modes, n_parameters)
-            Weights of the second derivatives of the frequencies and of the shapes; None if they have no effect.
+            Weights for the second derivatives of frequencies and shapes; None if they have no effect.
         direct : ndarray, shape (n, n_modes, n_parameters)
             The remainder: derivatives of the function while the slopes of all frequencies and shapes stay fixed.
         """

@@ -202,7 +202,7 @@ class FrequencyTerm(ErrorTerm):
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray, None, FloatArray]:
-        """Return the parameter derivatives of a function of the residuals' slopes; see `ErrorTerm`."""
+        """Differentiate a function of the residuals' slopes; see `ErrorTerm.change_of_slopes`."""
         slope, bent = self.slope_and_curvature(seen.frequencies, noise)
         own, J = by_slope[:, :, 0], np.asarray(seen.frequency_slopes)
         return slope[..., None] * own, None, (bent * np.sum(own * J, axis=2))[..., None] * J

@@ -24,7 +24,7 @@ from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class ModalLikelihood(Likelihood):
-    """The log-likelihood as a sum of log-densities of independent error models.
+    """The log-likelihood as a sum over independent error models.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ class MACErrors:
     """Half-Gaussian errors ε = 1 − MAC at the sensors.
 
     The density is normalised for ε on [0, 1]. It is a convention in the field rather than a model of measurement
-    noise: noise with the standard deviation σ at q sensors gives 1 − MAC ≈ (q − 1) σ², which `ShapeErrors` models.
+    noise. Noise with the standard deviation σ at q sensors gives 1 − MAC ≈ (q − 1) σ², which `ShapeErrors` models.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class MACTerm(ErrorTerm):
 
 
 def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensors: int) -> Groups:
-    """Convert groups of mode labels to tuples of mode indices (from 0).
+    """Convert mode groups from labels to indices (from 0).
 
     Raises
     ------

@@ -71,11 +71,11 @@ class MixtureLikelihood(ModalLikelihood):
       difference in MAC divided by τ, which is zero if two measured shapes are equal at the sensors.
     - A candidate whose MAC is lower than the highest MAC by Δ has the relative weight e^(−Δ/τ). With the default
       τ = 0.02 its log-weight is lower by at most 50 nats. If frequencies are measured so accurately that a wrong
-      frequency costs more, another mode with a matching frequency but a wrong shape becomes plausible: then reduce
-      τ or add shape errors. In the limit τ → 0 the candidate with the highest MAC is selected.
+      frequency costs more, a mode with a matching frequency but a wrong shape becomes plausible. Then reduce τ
+      or add shape errors. In the limit τ → 0 the candidate with the highest MAC is selected.
     - With frequency errors alone, the likelihood is a density of the frequencies, given the measured shapes.
       With shape errors, the weights use the measured shapes a second time, and the likelihood is no longer a
-      density: do not compare evidences of problems with different softness.
+      density. Do not compare evidences of problems with different softness.
     - The model's ``frequencies`` still come from the one-to-one assignment, which jumps at a veering, since a
       mean over candidates is not the frequency of any mode.
     - A block's candidates end with the highest mode computed. Where this mode veers with the next, a jump of

@@ -19,7 +19,7 @@ from fmu.types import FloatArray, Plain
 
 
 class ModalResidual(Likelihood):
-    """Residual of the measured modes in the equations of motion of the condensed model, eq. (2).
+    """Residual of the measured modes in the condensed equations of motion, eq. (2).
 
     ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖, with the measured ω_i and φ_i and the matrices condensed onto
     the sensors by Guyan reduction (eq. 2 and the text below it). The log-likelihood of mode i is
@@ -43,11 +43,11 @@ class ModalResidual(Likelihood):
 
     Notes
     -----
-    This is a *pseudo*-likelihood: ε combines data and model and is not the error of any measured quantity, and the
-    density increases as K and M are scaled down together, if the parameters allow that. The fixed scale
-    ‖K_c(θ_ref) φ_i‖ makes modes with different frequencies comparable and β dimensionless, but does not remove
-    this defect. Do not compute an evidence from a pseudo-likelihood. The modal residual needs no mode pairing and
-    no eigenproblem, but one factorisation of the stiffness at the unmeasured degrees of freedom for each theta.
+    This is a *pseudo*-likelihood: ε combines data and model and is not the error of any measured quantity. If the
+    parameters allow it, the density increases as K and M are scaled down together. The fixed scale ‖K_c(θ_ref)
+    φ_i‖ makes modes with different frequencies comparable and β dimensionless, but does not remove this defect. Do
+    not compute an evidence from a pseudo-likelihood. The modal residual needs no mode pairing and no eigenproblem,
+    but one factorisation of the stiffness at the unmeasured degrees of freedom for each theta.
     """
 
     terms_name = "residual"

@@ -141,7 +141,7 @@ class ShapeTerm(ErrorTerm):
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[None, FloatArray, FloatArray]:
-        """Return the parameter derivatives of a function of the residuals' slopes; see `ErrorTerm`.
+        """Differentiate a function of the residuals' slopes; see `ErrorTerm.change_of_slopes`.
 
         The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. With the derivatives G of the function with
         respect to the slopes, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the

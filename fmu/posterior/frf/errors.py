@@ -33,16 +33,16 @@ from fmu.types import Dof, NotNegative, Plain
 class FRFErrors(QuantityErrors):
     """Errors in measured frequency response functions (FRFs), independent at each frequency line.
 
-    The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The real and the imaginary
-    part of the error e each have the variance V = s² + σ² |H|², with the data's standard deviation s and a
-    relative model error σ.
+    The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The error e has a real and
+    an imaginary part, each with the variance V = s² + σ² |H|². Here s is the data's standard deviation and σ a
+    relative model error.
 
-    If s was estimated from few hits or averages, with ν degrees of freedom (`FRFData.freedom`), the error at a
-    single line has Student's t distribution with ν degrees of freedom. For parameters that many lines determine
-    together, this log-density's curvature is larger than its slope's variance. Intervals would be too narrow, by
-    11 % for five hits. The density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2
-    degrees of freedom and the variance V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann.
-    Math. Statist.* 31, 1208–1211), and its slope is proportional to the slope of Student's t with ν.
+    If s was estimated from few hits or averages, the error at a single line has Student's t distribution with ν
+    degrees of freedom (`FRFData.freedom`). For parameters that many lines determine together, this log-density's
+    curvature is larger than its slope's variance. Intervals would be too narrow, by 11 % for five hits. The
+    density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom and the
+    variance V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
+    1208–1211), and its slope is proportional to the slope of Student's t with ν.
 
     Attributes
     ----------

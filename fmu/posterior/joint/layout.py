@@ -285,7 +285,7 @@ class Layout:
         return found
 
     def gradient(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Return the gradient with respect to theta, (n, ndim), of a sum of m terms, each from one test.
+        """Return the gradient with respect to theta, (n, ndim), of m summed terms, each from one test.
 
         Parameters
         ----------

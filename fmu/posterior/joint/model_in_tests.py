@@ -135,7 +135,7 @@ class ModelInTests(ModalModel):
 
     @property
     def sizes(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Number of unknowns in each block of the reduced models."""
+        """Number of unknowns in each reduced block."""
         return tuple(size for model in self.parts for size in model.sizes)
 
     @property

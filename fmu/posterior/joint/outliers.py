@@ -218,7 +218,7 @@ class ContaminatedScores:
     def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:
         """Return a copy of theta with the outlier share ε drawn given the score scales (n, n_tests, p).
 
-        Its conditional distribution is beta: the numbers of outliers and of regular tests are added to a and b.
+        Its conditional distribution is beta, with the number of outliers added to a and of regular tests to b.
         """
         prior = self.of.prior
         if self.share is None or prior is None:

@@ -23,7 +23,7 @@ from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
-    """Error models for several tests, split into error models of modes and of other measured quantities.
+    """Error models for several tests, split into those for modes and those for other measured quantities.
 
     Attributes
     ----------

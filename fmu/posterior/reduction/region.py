@@ -42,8 +42,8 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
 def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
 
-    The points lie along random directions of the Laplace approximation from every plausible local maximum, at
-    distances where the log-probability has decreased by a random amount, or at the bounds.
+    From every plausible local maximum, the points lie along random directions of the Laplace approximation. They
+    are at distances where the log-probability has decreased by a random amount, or at the bounds.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class Tolerance:
         0.1, the Monte Carlo error at an effective sample size of 100.
 
         For a block of `LARGE` degrees of freedom or more, True allows an error of 0.01 in the log-probability
-        wherever it is within 10 of its maximum, a region that a posterior with some ten parameters hardly leaves.
+        wherever it is within 10 of its maximum. A posterior with some ten parameters hardly leaves this region.
         The frequencies may have errors of 1e-3 in the box, and are more accurate where the log-probability
         requires it.
         """

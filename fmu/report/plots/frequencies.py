@@ -54,13 +54,13 @@ class Frequencies:
 def plot_frequency_errors(
     measured_hz: ArrayLike, series: Sequence[Frequencies], labels: Sequence[str], figure: Figure | None = None
 ) -> Axes:
-    """Plot the errors, in %, of several sets of frequencies relative to the measured frequencies.
+    """Plot the errors, in %, in several frequency sets relative to the measured frequencies.
 
     Parameters
     ----------
     measured_hz : array_like, shape (n_modes,)
     series : sequence of Frequencies
-        The sets of frequencies, side by side for each mode in this order.
+        The frequency sets, side by side for each mode in this order.
     labels : sequence of str
         Labels of the modes.
     figure : Figure, optional

@@ -3,9 +3,8 @@
 Let H = (iω)^k × receptance, with k = 0 for a receptance, 1 for a mobility and 2 for an accelerance. A lightly
 damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
 
-- Below the first resonance |H| rises as the frequency to the power k if the structure is supported, and to the
-  power k − 2 if it is free. At a driving point the phase is then 90° ahead of the phase at a resonance if the
-  structure is supported, and 90° behind it if it is free.
+- Below the first resonance |H| is proportional to ω^k (supported structure) or to ω^(k − 2) (free structure).
+  Compared with a resonance, the phase there at a driving point is 90° ahead (supported) or 90° behind (free).
 - At a resonance a receptance and an accelerance are imaginary, and a mobility is real.
 - The real part of the mobility at a driving point is nowhere negative, because the force supplies power.
 - H_jk = H_kj.

@@ -46,8 +46,8 @@ def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float
 def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
     """Return the mean (n_frfs, n_lines) of repeated FRFs, its standard deviation, and the number of hits.
 
-    With n hits at a line, s² = Σ |H_j − mean|²/(2 (n − 1)) is the variance of the real part, and of the imaginary
-    part, of one hit. The standard deviation of the mean is s/√n.
+    With n hits at a line, each hit's real and imaginary part have the variance s² = Σ |H_j − mean|²/(2 (n − 1)).
+    The standard deviation of the mean is s/√n.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
     -------
     mean : ndarray of complex, shape (n_frfs, n_lines)
     sd : ndarray, shape (n_frfs, n_lines)
-        Standard deviation of the real and of the imaginary part of the mean; NaN at a line with fewer than two
-        hits.
+        Standard deviation of the mean's real part, and of its imaginary part; NaN at a line with fewer than
+        two hits.
     hits : int
         Smallest number of hits at a line with at least two.
 
@@ -103,9 +103,9 @@ def estimate_frfs(
     """Estimate FRFs from one force and the responses to it; see `fmu.FRFData.from_records`.
 
     The spectra are computed by Welch's method in `scipy.signal` (1967, IEEE Transactions on Audio and
-    Electroacoustics 15, 70). Unless a segment is several times longer than the structure's decay time 1/(2π ζ f),
-    leakage makes the resonances too low and too wide, and the coherence shows only part of this bias. Segments
-    that overlap are correlated: see `independent_averages`.
+    Electroacoustics 15, 70). A segment should be several times longer than the structure's decay time 1/(2π ζ f).
+    Otherwise leakage makes the resonances too low and too wide, and the coherence shows only part of this bias.
+    Segments that overlap are correlated: see `independent_averages`.
 
     Raises
     ------

@@ -125,13 +125,12 @@ class _Peak(NamedTuple):
 def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMINENCE) -> Peaks:
     """Return the resonances at the peaks of the complex mode indicator function (CMIF).
 
-    The CMIF is the set of singular values of the mobility matrix (responses × drives) at each line (Shih, Tsuei,
-    Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest singular value
-    counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak of a lower singular
-    value is a second mode near the first if it is not much smaller, and has another shape and a separate
+    The CMIF consists of the mobility matrix's singular values at each line; the matrix is responses × drives
+    (Shih, Tsuei, Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak in the largest
+    singular value counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak in a
+    lower singular value is a second mode if it is not much smaller, and has another shape and a separate
     resonance. Otherwise two modes exchange their order there. If some FRFs in the matrix were not measured, the
-    root of the sum of squares over all FRFs replaces the CMIF, and two modes within a half-power bandwidth are one
-    peak.
+    root sum of squares over all FRFs replaces the CMIF. Two modes within a half-power bandwidth are then one peak.
 
     A peak's singular vectors combine the FRFs into a single FRF with one mode. A rational function of order two,
     fitted to the lines near the peak, gives frequency and damping. If the fit fails, the peak's line and

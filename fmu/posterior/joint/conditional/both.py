@@ -85,8 +85,8 @@ def scatter_about_typical(
 
     Main parameters are drawn from their fitted normal distribution and scores from their normal approximations,
     both widened by the factor `dispersion`. Each point is moved halfway to the typical point, repeatedly, until it
-    is inside the bounds, has a finite density, and its main parameters are about as probable as draws from that
-    normal distribution.
+    is inside the bounds and has a finite density. Its main parameters must also be about as probable as draws from
+    that normal distribution.
     """
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores

@@ -1,11 +1,11 @@
 """Proposals for the dates of sudden losses, with all scores integrated out and all dates considered at once.
 
-A test's loss is a share r of its event's losses d: zero before the date, one after it, and in between where the
-date lies in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, a test's log-evidence
-E_t depends on r d alone. It is computed without the loss, E_t(0), and to second order about typical losses
-(`ScoresGivenMain.log_evidence`). Given all other main parameters, the log-density of date and losses is then a sum
-over the tests before the date and a quadratic form in d over the tests after it. Both are cumulative sums over the
-test times, so all dates together cost two evaluations of E.
+A test's loss is a share r of its event's losses d. The share is zero before the date and one after it; it is in
+between if the date lies in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, a
+test's log-evidence E_t depends on r d alone. It is computed without the loss, E_t(0), and to second order about
+typical losses (`ScoresGivenMain.log_evidence`). Given all other main parameters, the log-density of date and
+losses is then a sum over the tests before the date and a quadratic form in d over the tests after it. Both are
+cumulative sums over the test times, so all dates together cost two evaluations of E.
 
 Date and losses are proposed together: first the interval that contains the date, then the date uniformly within
 it, then the losses from a normal distribution. The proposal depends on neither the present date nor the present

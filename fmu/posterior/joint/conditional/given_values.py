@@ -1,8 +1,9 @@
 """Proposals for the populations given the parameter values in the tests, when the bounds have no influence.
 
-Given the values x_t (their logarithms in log-normal populations), the likelihood has no further information on the
-populations' centres μ, standard deviations s and correlation matrix R. Let Σ = D R D, where D has s on its
-diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal and an inverse Wishart distribution,
+The populations have centres μ, standard deviations s and the correlation matrix R. Given the values x_t (their
+logarithms in log-normal populations), the likelihood has no further information on these. Let Σ = D R D, where D
+has s on its diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal and an inverse Wishart
+distribution,
 
     Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n)
 

@@ -7,9 +7,9 @@ Am. Stat. Assoc.* 81, 82–86). With main parameters m, and score precision Λ_t
     log Q(m) = log p(m) + Σ_t [log L_t(ẑ_t) − ½ ẑ_tᵀ P ẑ_t − ½ log det Λ_t + ½ log det P],
 
 where ẑ_t are the most probable scores. Q has no funnel: it is smooth where a population's standard deviation is
-small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed: the scores in units of their
-uncertainty given main parameters and data. Acceptance depends on how the approximation error changes, not on its
-size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
+small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed. These are the scores in units of
+their uncertainty given main parameters and data. Acceptance depends on how the approximation error changes, not on
+its size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
 """
 
 from __future__ import annotations

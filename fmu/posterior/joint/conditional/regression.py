@@ -1,8 +1,8 @@
 """Fit a normal distribution to a log-density by regression on its gradients.
 
-Among all normal distributions N(m, C), the one closest to a density p, in the Kullback–Leibler divergence from N
-to p, has E[∇ log p] = 0 and E[−∇² log p] = C⁻¹, with expectations over N itself. A linear regression of gradients
-on draws from N gives both expectations (Salimans & Knowles 2013, *Bayesian Anal.* 8, 837–882). By contrast, the
+Let N(m, C) be the normal distribution closest to a density p, in the Kullback–Leibler divergence from N to p. It
+has E[∇ log p] = 0 and E[−∇² log p] = C⁻¹, with expectations over N itself. A linear regression of gradients on
+draws from N gives both expectations (Salimans & Knowles 2013, *Bayesian Anal.* 8, 837–882). By contrast, the
 curvature at a single point is misleading if the density is skewed or has its maximum at a bound.
 """
 

@@ -36,10 +36,10 @@ class Damage(Varies):
     Attributes
     ----------
     prior : Prior, optional
-        Prior of each loss, between −0.5 and 0.95. Default: normal with mean 0 and standard deviation 0.3. If few
-        parameters are expected to be damaged, use `fmu.SpikeAndSlab(share)`, where ``share`` is the probability
-        that a parameter is damaged: this prior shrinks small losses to zero and hardly changes large losses. (With
-        a horseshoe prior and precise tests, HMC did not converge.)
+        Prior of each loss, between −0.5 and 0.95. Default: normal with mean 0 and standard deviation 0.3. If
+        few parameters are expected to be damaged, use `fmu.SpikeAndSlab(share)`, where ``share`` is the
+        probability that a parameter is damaged. This prior shrinks small losses to zero and hardly changes
+        large losses. (With a horseshoe prior and precise tests, HMC did not converge.)
     scatter : Population, optional
         Population of the undamaged values in the tests. By default all tests in a group have the same value.
     """
