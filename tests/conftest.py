@@ -16,13 +16,12 @@ from tests.pictures import without_pictures
 FREE_S = modes._FREE_S
 
 
-def pytest_collection_finish():
-    """Keep what the collection made out of the garbage collector, and have that run seldom.
+gc.set_threshold(50_000, 20, 20)  # otherwise it takes one second in twenty
 
-    Otherwise it takes one second in twenty.
-    """
+
+def pytest_collection_finish():
+    """Keep what the collection made out of the garbage collector."""
     gc.freeze()
-    gc.set_threshold(50_000, 20, 20)
 
 
 ROOMS = ("tests/cli/", "tests/engines/", "tests/paper/", "tests/report/")

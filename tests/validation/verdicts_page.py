@@ -190,8 +190,9 @@ def _samplers(study: Study) -> str:
 
 def _separated(study: Study) -> str:
     rows = []
+    names = {one.name for one in study.outcomes}
     for known in (*KNOWN, *FURTHER):
-        if known.one_place is None:
+        if known.name not in names or known.one_place is None:
             continue
         usual = "around all maxima" if known.is_searched else "anywhere in the box"
         for start, where in ((USUAL, usual), (ALL, "around all maxima"), (ONE_PLACE, "at one maximum")):

@@ -1,6 +1,7 @@
 """Training costs a budget at most, and the faster model answers: decided by counted work, not by a clock."""
 
 import warnings
+from itertools import count
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from fmu.fem.modes.modal import solve_spectrum
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
-from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
+from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere, restore
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.reduction import train_reduced
 from fmu.posterior.reduction.region import plausible_points
@@ -27,19 +28,46 @@ FRAME = Cost(n_dof=1000, n_entries=55_000, n_terms=18, massless=True)
 
 
 @pytest.fixture(scope="module")
-def deck(tmp_path_factory):
+def trained():
+    """Return the states of what `deck` trained: `in_full` decides otherwise after the same training."""
+    return {}
+
+
+def train_once(patch, trained):
+    """Keep the state of every training, or restore what was kept at the same place in the course of loading."""
+    calls = count()
+
+    def remembered(train):
+        def call(structure, *given):
+            at = next(calls)
+            if at in trained:
+                return restore(structure, trained[at]), dict(trained[at])
+            model, trained[at] = train(structure, *given)
+            return model, dict(trained[at])
+
+        return call
+
+    for name in ("train", "train_at"):
+        patch.setattr(train_reduced, name, remembered(getattr(train_reduced, name)))
+
+
+@pytest.fixture(scope="module")
+def deck(tmp_path_factory, trained):
     """Return the footbridge of 17 groups, loaded, and the work that it took."""
     planted = truss_deck.write(tmp_path_factory.mktemp("deck"))
-    with counted() as work, pytest.warns(ReductionWarning, match="where the posterior has its mass, and"):
-        problem = fmu.load(planted.path)
+    with pytest.MonkeyPatch.context() as patch, counted() as work:
+        train_once(patch, trained)
+        with pytest.warns(ReductionWarning, match="where the posterior has its mass, and"):
+            problem = fmu.load(planted.path)
     return planted, problem, work
 
 
 @pytest.fixture(scope="module")
-def in_full(tmp_path_factory):
-    """Return the footbridge where no basis is accurate enough, and its file; the work of loading it."""
+def in_full(tmp_path_factory, deck, trained):
+    """Return the footbridge where no basis is accurate enough, and its file; the work after that of `deck`."""
     planted = truss_deck.write(tmp_path_factory.mktemp("full"))
     with pytest.MonkeyPatch.context() as patch, counted() as work:
+        train_once(patch, trained)
         patch.setattr(train_reduced, "LOOSEST_LOG_PROB", 1e-9)
         patch.setenv("FMU_CACHE_DIR", str(planted.path.parent))
         problem = fmu.load(planted.path)

@@ -59,8 +59,8 @@ def test_the_posterior_is_that_of_hmc():
             "relative", sd=fmu.Parameter("noise", 0.02, 0.005, 0.2, prior=fmu.HalfNormal(0.03))
         ),
     )
-    gibbs = fmu.sample(problem, "gibbs", draws=160, warmup=60, chains=20)
-    hmc = fmu.sample(problem, "hmc", draws=80, warmup=120, chains=16)
+    gibbs = fmu.sample(problem, "gibbs", draws=80, warmup=60, chains=40)
+    hmc = fmu.sample(problem, "hmc", draws=40, warmup=100, chains=32)
     assert chain_ess(draws_of(gibbs, "noise")) > 200
     for name in problem.names:
         centre = np.median(draws_of(hmc, name))
