@@ -99,7 +99,10 @@ class Posterior:
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
-        """Return log P(D|θ), eq. (4) with its normaliser (5); it is defined outside the bounds too."""
+        """Return log P(D|θ), eq. (4) with its normaliser (5), with the shape of `log_prob`.
+
+        It is defined outside the bounds too.
+        """
         points, single = self._points(theta)
         value = self._terms(points).sum(axis=1)
         return float(value[0]) if single else value
@@ -163,7 +166,10 @@ class Posterior:
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
-        """Return the log-prior (6), normalised over the bounds; ``-inf`` outside them."""
+        """Return the log-prior (6), normalised over the bounds, with the shape of `log_prob`.
+
+        It is ``-inf`` outside the bounds.
+        """
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._within(points).all(axis=1)

@@ -248,7 +248,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def coarser(self, share: Annotated[float, Interval(gt=0, le=1)]) -> UpdatingProblem:
-        """Return the same problem with only a share of the reduced basis vectors, if there is a reduced model.
+        """Return the same problem with only a share of the reduced basis vectors, if the model is reduced.
 
         A solve then takes less time and is less accurate, which is enough for approximations such as proposals.
         """

@@ -172,7 +172,7 @@ class ContaminatedScores:
         return value, by_score, np.concatenate([np.zeros((len(theta), 0)), *by_columns], axis=1)
 
     def precision(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the scores' expected precision minus I over the kinds of test, shape (n, n_tests, p, p)."""
+        """Return the expected score precision minus I, averaged over kinds of test, (n, n_tests, p, p)."""
         share_of = self.probabilities(theta, z)
         every = [self.precision_of(theta, scales[None]) for scales in self.scales]
         eye = np.eye(z.shape[2])
@@ -243,7 +243,7 @@ class ContaminatedScores:
         return _Terms(logs, np.stack(slopes, axis=1))
 
     def _log_weights(self, theta: FloatArray) -> FloatArray:
-        """Return the log-prior probabilities of each test's kinds, shape (n, n_kinds, n_tests)."""
+        """Return the log-prior probability of each kind of test (regular or outlier), (n, n_kinds, n_tests)."""
         epsilon = np.full(len(theta), self.of.share) if self.share is None else theta[:, self.share]
         m = self.is_outlier.sum(axis=0)
         with np.errstate(divide="ignore"):

@@ -165,7 +165,7 @@ class InOneTest:
     n_structural: int
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the values, (n, q), and their derivatives with respect to the structural parameters in the test.
+        """Return the quantities, (n, q), and their derivatives with respect to the test's structural parameters.
 
         The derivatives have the shape (n, q, n_structural); they are None unless `gradient` is True.
         """

@@ -64,7 +64,7 @@ class Prior(ABC):
 
     @abstractmethod
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds."""
+        """Return the log of the probability that lies between two bounds."""
 
     @abstractmethod
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:

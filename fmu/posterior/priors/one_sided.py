@@ -56,7 +56,7 @@ class HalfNormal(Prior):
         return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds."""
+        """Return the log of the probability that lies between two bounds."""
         return self.gaussian.log_mass(max(lower, self.at), upper) + float(np.log(2.0))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -143,7 +143,7 @@ class LogNormal(Prior):
             return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds."""
+        """Return the log of the probability that lies between two bounds."""
         return self.gaussian.log_mass(_log(lower), _log(upper))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:

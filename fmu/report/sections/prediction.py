@@ -148,7 +148,7 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section that predicts each measured mode from the other modes."""
+    """Return the section on predicting each measured mode from the other modes."""
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")

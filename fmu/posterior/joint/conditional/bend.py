@@ -56,13 +56,13 @@ class Curve(NamedTuple):
     stretch: FloatArray
 
     def bend(self, z: FloatArray) -> FloatArray:
-        """Return the scores (n, n_tests, p) that correspond to straightened scores z of the same shape."""
+        """Map straightened scores z to the scores on the curved ridge, both of shape (n, n_tests, p)."""
         y = np.einsum("tij,ntj->nti", self.of.forward, self.stretch * (z - self.centre))
         added = np.einsum("tjik,nti,ntk->ntj", self.of.curvature, y, y)
         return np.asarray(z + np.einsum("tij,ntj->nti", self.of.inverse, added) / self.stretch)
 
     def straighten(self, z: FloatArray) -> FloatArray:
-        """Return straightened scores (n, n_tests, p) for scores z; this is the inverse of `bend`."""
+        """Map scores z to straightened scores, both of shape (n, n_tests, p); the inverse of `bend`."""
         y = np.einsum("tij,ntj->nti", self.of.forward, self.stretch * (z - self.centre))
         added = np.zeros_like(y)
         for j in range(1, y.shape[2]):

@@ -52,7 +52,7 @@ class Expansion(NamedTuple):
     test_of_modes: IntArray
 
     def weigh(self, noise: FloatArray) -> FloatArray:
-        """Return factors for slope and information, shape (n, n_tests, 1), at error sds `noise` (n, n_noise).
+        """Return factors, (n, n_tests, 1), that adapt slope and information to error sds `noise` (n, n_noise).
 
         A factor averages, over a test's errors, the variance at the expansion point divided by the present
         variance. It is exact if all errors in the test have one standard deviation.

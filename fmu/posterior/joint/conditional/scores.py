@@ -43,7 +43,7 @@ class Scattering(NamedTuple):
     drawn: Drawn
 
     def factor(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the factor, shape (n, n_tests) or (1, 1), and the derivatives of its logarithm."""
+        """Return the factor on the values, (n, n_tests) or (1, 1), and the derivatives of its logarithm."""
         factors = self.value_of.factors(theta)
         slopes = [Slope(s.columns, s.values / one.values) for one in factors for s in one.slopes]
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
@@ -173,11 +173,11 @@ class Normal(NamedTuple):
     curve: Curve | None
 
     def bend(self, z: FloatArray) -> FloatArray:
-        """Return the scores that correspond to straightened scores z, both of shape (n, n_tests, p)."""
+        """Map straightened scores z to scores, both of shape (n, n_tests, p)."""
         return z if self.curve is None else self.curve.bend(z)
 
     def straighten(self, z: FloatArray) -> FloatArray:
-        """Return straightened scores for the scores z, both of shape (n, n_tests, p)."""
+        """Map scores z to straightened scores, both of shape (n, n_tests, p)."""
         return z if self.curve is None else self.curve.straighten(z)
 
     def scatter(self, noise: FloatArray) -> FloatArray:
@@ -193,7 +193,7 @@ class Normal(NamedTuple):
         return self.bend(self.mean + self.scatter(u))
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
-        """Return the log-densities (n, n_tests) of straightened scores z (n, n_tests, p), up to a constant.
+        """Return the log-density of each test's straightened scores z, shape (n, n_tests), up to a constant.
 
         If `nu` is finite, use Student's t with nu degrees of freedom and the same mean and factor.
         """

@@ -275,7 +275,7 @@ class ScoresInTime:
         return found
 
     def of_each(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the sums (n, n_tests) of the terms in `log_density` that contain each test's score."""
+        """Return, for each test, the sum of the `log_density` terms that contain its scores, (n, n_tests)."""
         found = np.zeros(z.shape[:2])
         for k, one in self._each:
             terms = one.log_density(theta, z[:, one.order, k])[0]

@@ -120,7 +120,7 @@ class InTests:
         return None
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
+        """Return the value in each test, (n, n_tests), and its derivatives, at theta (n, n_parameters)."""
         raise NotImplementedError
 
     def identity(self, test: int) -> Hashable:
@@ -128,11 +128,11 @@ class InTests:
         raise NotImplementedError
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         raise NotImplementedError
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test that resembles test `like`, at theta (n, n_parameters)."""
+        """Return the parameter's values (n,) in a further test that resembles test `like`, at each theta."""
         return self(theta)[0][:, like]
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
@@ -152,7 +152,7 @@ class InTests:
         return self
 
     def factors(self, theta: FloatArray) -> list[Factor]:
-        """Return the factors on the values of `base` at theta (n, n_parameters); empty if this is the base."""
+        """Return the factors that multiply the values of `base` at theta (n, n_parameters); empty for the base."""
         return []
 
 
@@ -169,11 +169,11 @@ class Multiplied(InTests):
     of: InTests
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the factor at theta (n, n_parameters), which does not depend on the scores."""
+        """Return the factor in each test at theta (n, n_parameters); it does not depend on the scores."""
         raise NotImplementedError
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
+        """Return the value in each test, (n, n_tests), and its derivatives, at theta (n, n_parameters)."""
         value, slopes = self.of(theta)
         factor, own = self.factor(theta)
         return value * factor, [
@@ -182,7 +182,7 @@ class Multiplied(InTests):
         ]
 
     def factors(self, theta: FloatArray) -> list[Factor]:
-        """Return the factors on the values of `base` at theta (n, n_parameters)."""
+        """Return the factors that multiply the values of `base` at theta (n, n_parameters)."""
         return [*self.of.factors(theta), self.factor(theta)]
 
     @property
@@ -313,7 +313,7 @@ class Varies:
         return None
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow the parameter `name` to vary as this class describes."""
         here = [test for test in tests if name not in test.known]
         found = []
         if self.by_test and len(here) < 2:
@@ -342,7 +342,7 @@ class Varies:
         Raises
         ------
         ValueError
-            If the parameter cannot vary like this.
+            If the parameter cannot vary as this class describes.
         """
         raise NotImplementedError
 

@@ -54,7 +54,7 @@ class Damage(Varies):
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow losses in the parameter `name`."""
         found = super().find_mistakes(name, tests)
         return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
 
@@ -135,12 +135,12 @@ class Lost(Multiplied):
         return self.of.identity(test), int(self.columns[test]), bool(self.is_lost[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.columns], upper[self.columns]]), 1.0)
         corners = np.stack(self.of.box(lower, upper))[:, None] * kept
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, which has the same loss as the group of test `like`."""
+        """Return the parameter's values (n,) in a further test with the same loss as the group of test `like`."""
         undamaged = self.of.next_test(theta, like, future)
         return undamaged * (1.0 - theta[:, self.columns[like]]) if self.is_lost[like] else undamaged

@@ -84,7 +84,7 @@ class Drawn(InTests):
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
+        """Return the value in each test, (n, n_tests), and its derivatives, at theta (n, n_parameters)."""
         value, *_, slopes = self._at(theta)
         return value, self._slopes(*slopes)
 
@@ -116,7 +116,7 @@ class Drawn(InTests):
             curvature[:, one, other] += of_both * scale[rows] * scale[columns]
 
     def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the scores relative to the population, (n, n_tests), and their derivatives.
+        """Return the parameter's values standardised by the population, (n, n_tests), and their derivatives.
 
         The derivatives are with respect to the score in theta, the centre and the width, shape (n, n_tests) each.
         """
@@ -160,7 +160,7 @@ class Drawn(InTests):
         return np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
 
     def scores_at(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores of the values (n, n_tests) in all tests, for the population at theta (n, ndim)."""
+        """Return the scores of the parameter values (n, n_tests), for the population at theta (n, ndim)."""
         return self.family.scores(value, *self._parts(theta)[2])
 
     @cached_property
@@ -210,13 +210,13 @@ class Drawn(InTests):
         return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         pairs = ((-_FAR, lower[self.centre]), (_FAR, upper[self.centre]))
         low, high = (self.family.values(np.array(z), centre, upper[self.widths])[0] for z, centre in pairs)
         return low, high
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, drawn from the population."""
+        """Return the parameter's values (n,) in a further test, drawn from the population."""
         ends = theta[:, self.centre], theta[:, self.widths[like]]
         return self.family.values(future.scores[self.centre], *ends)[0]
 

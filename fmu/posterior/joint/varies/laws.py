@@ -52,7 +52,7 @@ class Effect:
     columns: tuple[int, ...]
 
     def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
-        """Return the effects at x, and their derivatives.
+        """Return the covariate's effects at x, and their derivatives.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class PolynomialEffect(Effect):
     columns: tuple[int, ...]
 
     def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
-        """Return the effects at x, with their derivatives."""
+        """Return the covariate's effects at x, with their derivatives; see `Effect.evaluate`."""
         powers = np.arange(1, len(self.columns) + 1)[:, None]
         away = (x - x0)[:, None]
         terms, b = away**powers, parameters[:, :, None]
@@ -217,7 +217,7 @@ class PiecewiseEffect(Effect):
     kinks: tuple[float, ...] | None
 
     def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
-        """Return the effects at x, with their derivatives."""
+        """Return the covariate's effects at x, with their derivatives; see `Effect.evaluate`."""
         if self.kinks is None:
             b, kinks = parameters[:, :-1, None], parameters[:, -1:, None]
         else:

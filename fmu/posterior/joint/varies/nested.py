@@ -92,7 +92,7 @@ class Nested(Multiplied):
         return self.of.identity(test), int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         # s and u_g are rarely both near their limits
         effects = 0.5 * upper[self.width] * np.stack([lower[self.columns], upper[self.columns]])
         ends = np.stack(self.of.box(lower, upper))
@@ -100,7 +100,7 @@ class Nested(Multiplied):
         return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test that belongs to the group of test `like`."""
+        """Return the parameter's values (n,) in a further test that belongs to the group of test `like`."""
         effect = theta[:, self.width] * theta[:, self.columns[like]]
         return self.of.next_test(theta, like, future) * self._of_effect(effect)[0]
 

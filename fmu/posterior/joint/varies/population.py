@@ -91,7 +91,7 @@ class Population(Varies):
         return self.distribution == "log-normal"
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow the parameter `name` to scatter from test to test."""
         found = super().find_mistakes(name, tests)
         if self.between is not None:
             found += find_mistakes_of_groups(name, tests)

@@ -33,7 +33,7 @@ class Taken(InTests):
     own: Parameter | None = None
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
+        """Return the value in each test, (n, n_tests), and its derivatives, at theta (n, n_parameters)."""
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
 
     def identity(self, test: int) -> Hashable:
@@ -41,11 +41,11 @@ class Taken(InTests):
         return int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         return lower[self.columns], upper[self.columns]
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, drawn from the prior if each test has its own value."""
+        """Return the parameter's values (n,) in a further test, drawn from the prior if each test has its own."""
         if self.own is None:
             return super().next_test(theta, like, future)
         return self.own.prior.draw(future.rng, len(theta), self.own.lower, self.own.upper)
@@ -65,7 +65,7 @@ class Held(InTests):
     n_tests: int
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the constant values (n, n_tests), and an empty list of derivatives."""
+        """Return the parameter's constant values, (n, n_tests), and an empty list of derivatives."""
         return np.full((len(theta), self.n_tests), self.parameter.start), []
 
     def identity(self, test: int) -> Hashable:

@@ -67,7 +67,7 @@ class Trend(Multiplied):
         return self.of.identity(test), *(covariate.identity(test) for _, covariate in self.effects)
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         low, high = self.of.box(lower, upper)
         factors = np.ones((2, len(low)))
         for effect, covariate in self.effects:
@@ -84,7 +84,7 @@ class Trend(Multiplied):
         return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, including the effects of its covariates."""
+        """Return the parameter's values (n,) in a further test, including the effects of its covariates."""
         factor = np.ones(len(theta))
         for effect, covariate in self.effects:
             x = np.full((1, 1), future.covariates.get(covariate.name, covariate.mean))

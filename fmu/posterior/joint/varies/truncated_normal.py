@@ -181,7 +181,9 @@ class TruncatedFamily:
             return np.log([max(self.lower, 0.0), self.upper])
 
     def values(self, z: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the values with the scores z, and their derivatives with respect to score, centre and sd.
+        """Return the values for standard normal scores z, and their derivatives.
+
+        The derivatives are with respect to score, centre and sd.
 
         Parameters
         ----------
@@ -222,7 +224,7 @@ class TruncatedFamily:
         return p, (by_x / value, by_m / centre, by_s)
 
     def scores(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> FloatArray:
-        """Return the scores of the values; the inverse of `values`."""
+        """Return the standard normal scores of the values; the inverse of `values`."""
         if not self.of_logarithm:
             return truncated_normal_scores(value, centre, sd, self.lower, self.upper)
         return truncated_normal_scores(np.log(value), np.log(centre), sd, *self._ends)

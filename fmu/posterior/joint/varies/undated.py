@@ -87,7 +87,7 @@ class UndatedDamage(Varies):
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return error messages if the tests do not allow the parameter `name` to vary like this."""
+        """Return error messages if the tests do not allow a loss at an unknown date in the parameter `name`."""
         found = [] if self.scatter is None else self.scatter.find_mistakes(name, tests)
         if self.by:
             rule = f"must have {self.by} as a number, which is the time of the damage of {name}"
@@ -197,7 +197,7 @@ class LostFrom(Multiplied):
         return self.of.identity(test), float(self.times[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
         ends = np.stack([lower, upper])[:, [self.date]]
         dates = np.zeros((2, len(lower)))
         dates[:, [self.date]] = ends
@@ -207,7 +207,7 @@ class LostFrom(Multiplied):
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return values (n,) of a further test, at its time covariate or by default at the last test's time."""
+        """Return the parameter's values (n,) in a further test at its time, by default the last test's time."""
         time = np.array([future.covariates.get(self.by, float(self.times.max()))])
         kept = 1.0 - theta[:, self.column] * self._share(theta, time)[0][:, 0]
         return self.of.next_test(theta, like, future) * kept
