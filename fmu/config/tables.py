@@ -219,8 +219,8 @@ def declare_table(
     tag : str
         Name of an additional key, whose value is the kind of the table.
     in_a_file : callable, optional
-        Maps an argument's annotation to the type of its key in the file, for annotations that are not TOML types;
-        returns None for an argument that is not a key.
+        Maps an argument's annotation to the type of its key in the file, for annotations that are not TOML types.
+        Returns None for an argument that is not a key.
     renamed : mapping of str to str, optional
         See `Of`.
     """

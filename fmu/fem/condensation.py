@@ -82,8 +82,8 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     """Reduce K and M by the Craig–Bampton method (Craig & Bampton 1968).
 
     The boundary separates the interior (all other degrees of freedom) into substructures. The basis consists of
-    the constraint mode of every boundary degree of freedom and, for every substructure, the lowest `n_modes`
-    modes of finite frequency with the boundary fixed.
+    one constraint mode per boundary degree of freedom, and the lowest `n_modes` fixed-interface modes of finite
+    frequency per substructure.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tu
     """Return, for each substructure, whether its Craig–Bampton modes at `theta` are valid at every theta.
 
     The modes are the same if a single coefficient scales the stiffness of the substructure's interior and of its
-    connection to the boundary, and no parameter changes the mass of the interior.
+    connection to the boundary. In addition, no parameter may change the interior's mass.
 
     Parameters
     ----------

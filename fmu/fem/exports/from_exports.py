@@ -1,9 +1,9 @@
 """Recovery of K(θ) and M(θ) from matrices that a program exports at several parameter values.
 
 An entry of an assembled matrix is a sum over elements, and the entry of an element matrix is a sum of powers of
-most properties. Young's modulus and density enter with power 1, the thickness of a plate with power 1 (membrane,
-mass) and power 3 (bending, rotary inertia), the thickness of a solid element with powers 1, 0 and -1. The matrices
-of a few exports therefore determine the terms K_k of
+most properties. Young's modulus and density enter with power 1. A plate's thickness enters with power 1 (membrane,
+mass) and power 3 (bending, rotary inertia), a solid element's thickness with powers 1, 0 and -1. The matrices of a
+few exports therefore determine the terms K_k of
 
     K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
 

@@ -232,10 +232,10 @@ def recover(
 ) -> Recovery:
     """Recover one matrix as a sum of terms; `changed` (n_parameters, n) marks the entries that parameters change.
 
-    Entries changed by the same parameters have the same terms. If one parameter changes an element and another
-    parameter changes its neighbour, the entries at the nodes between the two elements have the terms of both,
-    which are known by then. If the changes of the two elements cancel in the exports, such an entry may depend on
-    every parameter that changes the diagonal entries of both its row and its column, where nothing cancels.
+    Entries changed by the same parameters have the same terms. If two parameters change neighbouring elements, the
+    entries at their common nodes have the terms of both, which are known by then. The two changes may cancel in
+    such an entry. It may therefore depend on every parameter that changes the diagonal entries of both its row and
+    its column, where nothing cancels.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))

@@ -191,7 +191,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     moved, held = named
     if not shapes.shape[1]:
         return np.zeros((6, 0))
-    # only motions in which all held directions are at rest
+    # only motions in which all fixed directions are at rest
     candidates = np.eye(6) if not len(held) else _null_space(held)
     size = _sizes(model)[:, None]
     W = size * (moved @ candidates)
@@ -277,7 +277,7 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     moved = np.array([row(node, d) for node, d in model.dofs])
     rows = np.unique(geometry.elements)
     used = rows.tolist() if geometry.ids is None else np.asarray(geometry.ids)[rows].tolist()
-    # in another program's mesh, nodes may lack rotations without being held
+    # in another program's mesh, nodes may lack rotations without being fixed
     known = [d for d in DIRECTIONS[: 6 if geometry.ids is None else 3] if any(d == e for _, e in model.dofs)]
     held = [row(node, d) for node in used for d in known if (node, d) not in model.dof_of]
     return moved, np.array(held).reshape(-1, 6)

@@ -93,10 +93,10 @@ class FRFCertificate:
 def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertificate | None:
     """Compute the errors of reduced-model FRFs at n parameter vectors; return None if there is no reduced model.
 
-    The structural parameters have shape (n, p), the damping parameters (n, q). With r the errors at all lines in
-    standard deviations and J the FRF derivatives in the same units, the posterior moves by the part of r in the
-    space of J. The direct solves are of (K (1 + iη) − ω² M) x = f with one loss factor, which tests the basis with
-    any kind of damping.
+    The structural parameters have shape (n, p), the damping parameters (n, q). Let r be the errors at all lines in
+    standard deviations, and J the FRF derivatives in the same units. The posterior then moves by the part of r in
+    the column space of J. The direct solves are of (K (1 + iη) − ω² M) x = f with one loss factor, which tests the
+    basis with any kind of damping.
     """
     if model.block.size == model.full.size:
         return None

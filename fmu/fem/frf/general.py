@@ -2,7 +2,7 @@
 
 The dynamic stiffness D(ω) = K' + i ω C − ω² M has a complex symmetric K' = Σ_k (1 + i η_k) c_k K_k, with a loss
 factor η_k for each stiffness term, and C = α M + β K + Σ_d c_d C_d. Its inverse on the reduced basis is a sum over
-the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0, which is solved as a linear eigenproblem of
+the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0. This is solved as a linear eigenproblem of
 twice the size (Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
 
     H_jk(ω) = Σ_r x_jr x_kr / (i ω − s_r),      x_rᵀ (2 s_r M + C) x_r = 1.

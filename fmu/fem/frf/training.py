@@ -2,8 +2,8 @@
 
 The basis contains the modes in the frequency band, and the undamped responses to unit forces at all points, at
 some frequencies in the band. These responses contain the contribution of all higher modes, so that no residual
-term is missing. Because the basis has the responses to forces at both the drives and the response points, the
-error of an FRF is a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
+term is missing. The basis has the responses to forces at both the drives and the response points. The error of an
+FRF is therefore a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
 Partial Differential Equations*, chapter 3).
 """
 

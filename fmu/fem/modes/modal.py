@@ -74,8 +74,8 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
 def fix_sign(shapes: FloatArray) -> FloatArray:
     """Flip shapes so that the largest component of each is positive, whatever the solver's sign.
 
-    If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first of them is
-    made positive, so that rounding does not decide the sign.
+    If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first one is made
+    positive. Rounding then does not decide the sign.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def solve_spectrum(
 ) -> ModalSolution:
     """Return the lowest `count` modes of the whole structure, sorted over all its `blocks`.
 
-    A reduced block gives only the modes that it was trained for. If one of its further modes might be among the
-    lowest modes at a theta, the row for that theta is NaN, and the full model is needed there.
+    A reduced block gives only the modes that it was trained for. If one of its higher modes might be among the
+    lowest modes at a theta, the row for that theta is NaN. The full model is then needed.
 
     Raises
     ------

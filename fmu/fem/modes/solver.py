@@ -97,7 +97,7 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
         if band is not None:
             try:
                 return BandedFactor(matrix, band)
-            except np.linalg.LinAlgError:  # indefinite or singular: the other solvers tell which
+            except np.linalg.LinAlgError:  # indefinite or singular: the other solvers show which
                 pass
     return by_pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else SuperLU(matrix)
 

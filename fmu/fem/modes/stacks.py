@@ -1,7 +1,7 @@
 """Modes of many small matrices at once, by NumPy's batched LAPACK.
 
-Every operation treats each matrix separately, elementwise or in one small LAPACK or BLAS call per matrix, so that
-no bit of a result depends on the rest of the stack.
+Every operation treats each matrix separately, elementwise or in one small LAPACK or BLAS call per matrix. No bit
+of a result therefore depends on the rest of the stack.
 """
 
 from __future__ import annotations

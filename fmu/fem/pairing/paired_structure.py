@@ -111,10 +111,10 @@ class PairedStructure(ModalModel):
         ----------
         model : SeparableModel
         pairing : {"shape", "index", "soft"}
-            ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, if no shapes
-            were measured, with the modes of the model at `reference` that the sensors can see, at all
-            translations. ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and
-            `seen_candidates` gives all candidate modes.
+            ``"shape"``: one-to-one assignment by MAC with the measured shapes at the sensors. If no shapes were
+            measured, the MAC is with the model's visible modes at `reference`, at all translations. ``"index"``:
+            by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates` gives all
+            candidate modes.
         numbers : tuple of int
             Number (from 1) of each measured mode.
         elastic_from_hz : float, optional

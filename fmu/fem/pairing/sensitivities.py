@@ -233,7 +233,7 @@ class StructureSensitivities(Sensitivities):
 
     def _left(self, part: _Solved, weights: FloatArray) -> FloatArray:
         """Convert weights of sensor shapes to weights of a block's shapes, (n, size, m, n_parameters)."""
-        assert part.sensors is not None  # shapes were asked for
+        assert part.sensors is not None  # shapes were requested
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
         at_sensors = np.zeros((n, q, count, p))
         at_sensors[part.row, :, part.rank] = weights[part.row, :, part.column]

@@ -2,8 +2,8 @@
 
 All import statements in these files are parsed, and no code is run. The result is therefore the same in every
 process, and does not depend on imports that happen during a call. The user's own modules are the modules of the
-function's package, and all modules that belong neither to Python nor to an installed package: next to the
-function, on the path, or in a package that was installed in editable mode. Changes in installed packages, in
+function's package, and all modules that belong neither to Python nor to an installed package. These may be next to
+the function, on the path, or in a package that was installed in editable mode. Changes in installed packages, in
 modules that no statement names (``importlib.import_module(name)``) and in data files are not detected.
 """
 

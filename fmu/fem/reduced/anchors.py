@@ -27,12 +27,12 @@ from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray
 
-# A box in which a coefficient changes by more than this factor is halved, and has two anchors.
+# A box in which a coefficient changes by more than this factor is halved, and has two anchor points.
 _WIDE = 30.0
-# Where α divided by the largest ratio of coefficients is below this, the bound by an anchor is of little use.
+# Where α divided by the largest ratio of coefficients is below this, the bound by an anchor point is of little use.
 _FAR = 1e-3
 _MOST = 8
-# Number of modes of the anchors beyond the requested ones.
+# Number of modes at the anchor points beyond the requested ones.
 _GUARDS = 3
 _HALVED = 20  # bisection steps
 _STRIP = 32  # right-hand sides of a large block that are solved for together
@@ -259,7 +259,7 @@ class Anchors:
         """
         ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
         low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
-        # a term that is zero at an anchor is compared with a small part of its value at the middle of the box
+        # a term that is zero at an anchor point is compared with a small part of its value at the middle of the box
         left_out = _WIDE * self._ratios(theta, self.theta[0])
         high = np.where(np.isinf(high), np.max(np.where(np.isinf(ratios), left_out, ratios), axis=2), high)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -269,7 +269,7 @@ class Anchors:
         here, there = coefficients(self._terms, theta), coefficients(self._terms, at[None])
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = here / there
-        # a term that is zero at the anchor does not lower the bound, as long as its coefficient is not negative
+        # a term that is zero at the anchor point does not lower the bound, as long as its coefficient is not negative
         return np.where(there == 0.0, np.where(here >= 0.0, np.inf, -np.inf), np.where(there < 0.0, np.nan, ratio))
 
     def _estimate_alpha(self, theta: FloatArray, best: IntArray, space: Space) -> FloatArray:
@@ -304,7 +304,7 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
         cut = np.sqrt(low[j] * high[j]) if low[j] > 0.0 else high[j] / _WIDE
         below, above = high.copy(), low.copy()
         below[j], above[j] = cut, cut
-        if low[j] == 0.0:  # the only anchor further down is on the face where the parameter is zero
+        if low[j] == 0.0:  # the only anchor point further down is on the face where the parameter is zero
             face = below.copy()
             face[j] = 0.0
             anchors += [_middle(low, face), _middle(low, below), _middle(above, high)]

@@ -3,10 +3,9 @@
 K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta in a box lie close to a space of
 few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition to a basis that is
 orthonormal in the mass matrix at the box's centre. Every term is projected onto the basis once. A solve is then a
-dense eigenproblem of order 10 to 50, whatever the size of the structure, and a batch of solves is one call of
-NumPy's batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential
-Equations*, chapter 6).
-By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
+dense eigenproblem of order 10 to 50, whatever the size of the structure. A batch of solves is one call to NumPy's
+batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
+chapter 6). By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ class ReducedBlock(Block):
     (K + s M) x is solved, with λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`). The shift s = tr K/tr M makes
     K + s M definite for a free structure too.
 
-    Every operation treats each theta separately, elementwise or in one small LAPACK or BLAS call per theta, so
-    that no bit of a result depends on the rest of the batch.
+    Every operation treats each theta separately, elementwise or in one small LAPACK or BLAS call per theta. No bit
+    of a result therefore depends on the rest of the batch.
     """
 
     is_reduced: ClassVar[Literal[True]] = True

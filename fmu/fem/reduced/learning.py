@@ -305,9 +305,10 @@ def snapshot_basis(
     """Return the basis (n_dof, size) that best approximates the lowest modes at theta (n, n_parameters).
 
     It is meant for a box so wide that no basis is accurate everywhere. The modes are compressed by proper
-    orthogonal decomposition in the inner product of Ā = K + s M at an anchor point, in which the energy of an
-    error is the relative error of an eigenvalue (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
-    Partial Differential Equations*, chapter 6). The basis is accurate near theta; elsewhere its error is unknown.
+    orthogonal decomposition in the inner product of Ā = K + s M at an anchor point. In this inner product the
+    energy of an error is the relative error of an eigenvalue (Quarteroni, Manzoni & Negri 2016, *Reduced Basis
+    Methods for Partial Differential Equations*, chapter 6). The basis is accurate near theta; elsewhere its error
+    is unknown.
 
     Parameters
     ----------

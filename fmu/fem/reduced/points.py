@@ -97,8 +97,8 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
     """Return m ≤ n points (m, n_parameters) of a box near zero in the parameters whose lower bound is zero.
 
-    A structure in which a stiffness nearly vanishes has modes that occur neither on the face of the box, where
-    that stiffness is zero, nor at points that cover the box evenly.
+    If a stiffness nearly vanishes, a structure has modes that do not occur where this stiffness is zero, on the
+    face of the box. Points that cover the box evenly miss these modes too.
     """
     rng = np.random.default_rng(n + seed)
     points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))

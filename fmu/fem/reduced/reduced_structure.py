@@ -281,9 +281,9 @@ def train(
     tolerance : float
         Largest relative frequency error allowed at the points tried in the box.
     inaccurate_points : callable, optional
-        Maps the current reduced model to the points (n, n_parameters) at which it is too inaccurate for the
-        caller's purpose, and to the factor by which the frequency errors there must decrease. Returns None if the
-        model is accurate enough.
+        Maps the current reduced model to the points (n, n_parameters) where it is too inaccurate for the caller,
+        and to the factor by which the frequency errors there must decrease. Returns None if the model is accurate
+        enough.
     region : callable, optional
         Maps the current reduced model to fresh points (n, n_parameters) in the part of the box that matters. If a
         basis for the whole box would not pay, `tolerance` applies in that part only, and 1e-3 elsewhere.

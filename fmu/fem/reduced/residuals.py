@@ -15,7 +15,7 @@ Proven, for positive semidefinite terms: A ≥ α Ā at an anchor point (`fmu.fe
 r_iᵀ A⁻¹ r_j is at most r_iᵀ Ā⁻¹ r_j / α. Estimated: the spectrum of σ T on the complement. The direction of the
 error is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient
 wᵀ M w / (α wᵀ Ā w), times σ, is the mean x < 1 of that spectrum. Its upper end b is taken as the larger of √x and
-σ_i/σ_j, where j is the lowest mode that the trial vectors do not represent, estimated by the modes at the anchor
+σ_i/σ_j. Here j is the lowest mode that the trial vectors do not represent, estimated from the modes at the anchor
 points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
 (Edmundson and Madansky). If a needed mode were missing from the space, no residual would show it; therefore
 training counts the modes at some points by Sylvester's law of inertia.

@@ -3,8 +3,8 @@
 K + s M is factorised at one or a few anchor points in the box (`fmu.fem.reduced.anchors`). At every visited point
 the reduced problem is solved. The residuals of its modes give error bounds (`fmu.fem.reduced.residuals`) and the
 vectors that the space lacks (`fmu.fem.reduced.learning`). When the errors at a set of fresh points, including
-corners and faces, are within the tolerance, the space is truncated to the final basis, and the basis is verified
-by full solves at a few further points.
+corners and faces, are within the tolerance, the space is truncated to the final basis. Full solves at a few
+further points verify the basis.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ class Training:
     def run(self) -> Trained:
         """Train until errors at fresh points, corners and faces included, are small and full solves agree.
 
-        Training ends without success after the last round, when it has cost as much as `BUDGET` full solves, or
-        when the basis would be larger than `affordable`; the basis is then truncated to that size.
+        Training ends without success after the last round, or when it has cost as much as `BUDGET` full solves. It
+        also does if the basis would be larger than `affordable`; the basis is then truncated to that size.
         """
         counts = self.rule.counts(self.full)
         with phase("training"):

@@ -1,9 +1,9 @@
 """Pairs of close modes, whose eigenvalues are replaced by two smooth functions of the parameters.
 
-Modes that are numbered in the order of their frequencies swap where they cross: the eigenvalues as functions of
-the parameters have a kink there, and nearly a kink where the modes veer. A pair of modes obeys a 2 × 2
-eigenproblem, whose trace and determinant are smooth functions of stiffness and mass (Kato 1995, *Perturbation
-Theory for Linear Operators*, II §1). So are the mean s and the squared half-distance d of z = log λ:
+Modes that are numbered in order of frequency swap where they cross. As functions of the parameters, their
+eigenvalues have a kink there, and nearly a kink where the modes veer. A pair of modes obeys a 2 × 2 eigenproblem,
+whose trace and determinant are smooth functions of stiffness and mass (Kato 1995, *Perturbation Theory for Linear
+Operators*, II §1). So are the mean s and the squared half-distance d of z = log λ:
 
 s = ½ (z₁ + z₂),  d = ¼ (z₂ − z₁)²,  from which  z = s ∓ √d.
 

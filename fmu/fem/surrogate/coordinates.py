@@ -17,9 +17,9 @@ logarithm of zero is infinite, and an extrapolation so far out is meaningless.""
 class Coordinates:
     """Map between theta in a box and scaled coordinates x, parameter by parameter.
 
-    The map is x = (g(θ) − centre)/half, where g(θ) is log θ or θ. An eigenvalue is the ratio of a linear form in
-    the stiffnesses to a linear form in the masses (Rayleigh's quotient), so that its logarithm is nearly linear in
-    the logarithms of both.
+    The map is x = (g(θ) − centre)/half, where g(θ) is log θ or θ. An eigenvalue is a linear form in the
+    stiffnesses divided by a linear form in the masses (the Rayleigh quotient). Its logarithm is therefore nearly
+    linear in the logarithms of both.
 
     Attributes
     ----------

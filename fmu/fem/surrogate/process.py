@@ -9,7 +9,7 @@ The first term is a linear trend whose coefficients have variance a. The second 
 scales ℓ_j: a parameter without effect has a long one, and does not make the fit harder. The third is the variance
 s² of the solver's scatter (Rasmussen & Williams 2006, *Gaussian Processes for Machine Learning*, chapters 2, 5).
 The hyper-parameters a, c, ℓ and s² maximise the marginal likelihood. With few points, variation that the smooth
-part does not yet represent resembles scatter; therefore s² stays at its minimum unless a larger value makes the
+part does not yet represent resembles scatter. Therefore s² stays at its minimum unless a larger value makes the
 likelihood exp(`_TELLING`) times as large. Kriging with a polynomial trend of fixed degree is the limit of large a,
 or of long ℓ.
 """

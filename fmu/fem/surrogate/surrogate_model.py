@@ -128,7 +128,7 @@ class SurrogateModel(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return expected frequencies in Hz, (n, n_modes), and exact gradients, (n, n_modes, n_parameters)."""
         seen = self.observed(theta, gradient=True)
-        assert seen.frequency_slopes is not None  # narrowed for the type checker: asked for above
+        assert seen.frequency_slopes is not None  # narrowed for the type checker: requested above
         return seen.frequencies, seen.frequency_slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:

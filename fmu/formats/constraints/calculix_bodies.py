@@ -1,10 +1,10 @@
 """Rigid bodies in CalculiX decks: *RIGID BODY, and *COUPLING with *KINEMATIC.
 
 The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of the ROT NODE, or of a
-node that CalculiX adds, with a number above all others. Couplings are numbered first, then bodies, each in the
-order of the deck. A body also takes up a number for each of its nodes, a coupling for each node and each line of
-*KINEMATIC. This numbering is not documented. It was found from the output of CalculiX 2.20 for two bodies, which
-the tests repeat. It may differ in other decks, and in decks with shells and beams, which CalculiX expands.
+node that CalculiX adds, with a number above all others. Added nodes are numbered for couplings first, then for
+bodies, each in deck order. A body also uses up one number per node, and a coupling one per node and per line of
+*KINEMATIC. This numbering is undocumented. It was inferred from CalculiX 2.20 output for two bodies, and may
+differ in other decks, such as decks with shells and beams, which CalculiX expands.
 
 *COUPLING with *DISTRIBUTING distributes the loads on a reference node that itself does not move: masses and
 springs at this node have no effect in CalculiX.

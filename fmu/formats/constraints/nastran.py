@@ -56,8 +56,8 @@ class Constraints:
     is_of_mystran : bool
         Whether the executive control has OUTPUT4 without DMAP, as in MYSTRAN. MYSTRAN does not rescale the weights
         of rotations in an RBE3; see `fmu.formats.constraints.rigid`. MYSTRAN 18.0 and Nastran give different
-        equations in three cases: an RBE3 follows components other than 123, has components other than 123456 at
-        its reference point, or has points with their own axes. A note says so.
+        equations if an RBE3 follows components other than 123, if its reference point has components other than
+        123456, or if its points have their own axes. A note says so.
     """
 
     rigid: list[tuple[str, list[str]]] = field(default_factory=list)

@@ -6,9 +6,9 @@ by θ. A point that follows others by a weighted mean moves with the rigid body 
     minimise Σ_i w_i (u_i − H_iᵀ x)²    ⇒    Σ_i w_i H_i H_iᵀ x = Σ_i w_i H_i u_i,
 
 where H_iᵀ x is the motion along degree of freedom i (MYSTRAN, *User's reference manual*, appendix E). Since
-version 70.7, the result in Nastran does not depend on the units (MSC Nastran, *Quick reference guide*, RBE3): the
-weights of rotations are multiplied by L², where L is the mean distance of the points from the reference point.
-L has no effect if no rotations are followed. The result has not been compared with Nastran itself.
+version 70.7, the result in Nastran does not depend on the units (MSC Nastran, *Quick reference guide*, RBE3). The
+weights of rotations are multiplied by L², where L is the points' mean distance from the reference point. L has no
+effect if no rotations are followed. The result has not been compared with Nastran itself.
 """
 
 from __future__ import annotations

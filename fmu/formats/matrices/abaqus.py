@@ -16,10 +16,10 @@ In a step of any kind, the element matrices for a set are written to ``left.mtx`
     *ELEMENT MATRIX OUTPUT, ELSET=LEFT, STIFFNESS=YES, MASS=YES, OUTPUT FILE=USER DEFINED, FILE NAME=left
 
 fmu reads their sum, which is the stiffness or mass of one property group without supports and constraints. For
-each element, comments list its nodes, and ``*USER ELEMENT`` gives the degrees of freedom of its first node;
-further lines give the position of a node and the degrees of freedom from that node on. The lower triangle of each
-matrix follows, row by row. Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER ELEMENT``,
-``*MATRIX``.
+each element, comments list its nodes, and ``*USER ELEMENT`` gives the degrees of freedom of its first node.
+Further lines give a node's position in the list and the degrees of freedom from that node on. The lower triangle
+of each matrix follows, row by row. Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER
+ELEMENT``, ``*MATRIX``.
 """
 
 from __future__ import annotations

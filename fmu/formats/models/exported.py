@@ -123,7 +123,7 @@ class ExportedModel:
     notes : tuple of str
         One sentence for each omission or assumption.
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float
-        Displacements and rotations along global axes that are weighted sums of several `dofs`, such as the
+        Displacements and rotations along global axes that are weighted sums of several `dofs`. An example is the
         displacement of a shell's middle surface in a model with nodes on both faces. They take precedence over
         `dofs` of the same name.
     """

@@ -158,9 +158,9 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     ----------
     shapes : array_like of complex, shape (n_sensors, n_modes)
     least_mpc : float
-        Smallest phase collinearity that is accepted. An undamped model has only real shapes, and a measured shape
-        with a lower value is probably a mixture of two close modes, or due to local damping or noise. 0 accepts
-        all shapes.
+        Smallest phase collinearity that is accepted. An undamped model has only real shapes. A measured shape with
+        a lower value is probably a mixture of two close modes, or due to local damping or noise. 0 accepts all
+        shapes.
 
     Returns
     -------

@@ -2,9 +2,9 @@
 
 pyOMA_2 is not needed to read its results, which are recognised by their attributes: ``Fn`` (n_modes,) in Hz and
 ``Phi`` (n_channels, n_modes), complex. Subspace identification with ``calc_unc=True`` adds ``Fn_std`` (n_modes,)
-in Hz and ``Phi_std`` (n_channels, n_modes): standard deviations estimated from the scatter between parts of the
-record (Döhler & Mevel 2013, Mechanical Systems and Signal Processing 38, 346), which the documentation of pyOMA_2
-1.4 calls "covariance".
+in Hz and ``Phi_std`` (n_channels, n_modes). These are standard deviations estimated from the scatter between parts
+of the record (Döhler & Mevel 2013, Mechanical Systems and Signal Processing 38, 346), which the documentation of
+pyOMA_2 1.4 calls "covariance".
 
 ``Phi_std`` is conservative: in pyOMA_2 1.4.3 it includes the error of a shape's scale, which is common to all
 components and does not affect a comparison of shapes. For 24 simulated records of the frame in

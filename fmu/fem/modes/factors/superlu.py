@@ -1,12 +1,12 @@
 """Factors by SuperLU, which comes with SciPy, and a count of their entries before they are computed.
 
 SuperLU does not tell how large its factors will be. Its order of elimination, by minimum degree of A + Aᵀ, depends
-on the pattern of the matrix alone, and an incomplete factorisation that drops every entry tells that order in a
-fraction of the time. The entries of L then follow row by row: the entries of row i are the nodes of the row
-subtree, the paths of the elimination tree from each k with a_ik ≠ 0 up to i (Liu 1990, *SIAM J. Matrix Anal.
-Appl.* 11, 134–172). Rows next to each other in that order with the same pattern are one node, such as the degrees
-of freedom of one point of a mesh. For solids and frames of 17 000 to 100 000 degrees of freedom the count agreed
-with SuperLU to 0.3 %.
+on the sparsity pattern alone. An incomplete factorisation that drops every entry gives this order in a fraction of
+the time. The entries of L then follow row by row. The entries of row i are the nodes of the row subtree: the paths
+in the elimination tree from each k with a_ik ≠ 0 up to i (Liu 1990, *SIAM J. Matrix Anal. Appl.* 11, 134–172).
+Rows next to each other in that order with the same pattern are one node, such as the degrees of freedom of one
+point of a mesh. For solids and frames of 17 000 to 100 000 degrees of freedom the count agreed with SuperLU to 0.3
+%.
 """
 
 from __future__ import annotations
