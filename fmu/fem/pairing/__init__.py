@@ -1,5 +1,5 @@
 """Pairing of computed modes with measured modes.
 
 Reading order: rules, prediction, modal_model, paired_structure; paired_black_box for a user's function,
-failed_solves for reasons.
+failed_solves for the reasons why solves fail.
 """

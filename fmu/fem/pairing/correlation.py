@@ -189,9 +189,10 @@ class Correlation:
 
     @property
     def suspects(self) -> IntArray:
-        """Indices of suspect sensors, worst first, shape (n_suspects,): outlying ECoMAC, or apparently swapped.
+        """Indices of suspect sensors, worst first, shape (n_suspects,).
 
-        Empty if there are too few sensors or modes to tell.
+        A sensor is suspect if its ECoMAC stands out, or if it appears to be swapped with another. Empty if there
+        are too few sensors or modes to tell.
         """
         if not self._is_enough:
             return np.zeros(0, dtype=np.int64)

@@ -29,7 +29,7 @@ from fmu.types import FloatArray, IntArray
 
 # A box in which a coefficient changes by more than this factor is halved, and has two anchor points.
 _WIDE = 30.0
-# Where α divided by the largest ratio of coefficients is below this, the bound by an anchor point is of little use.
+# Where α divided by the largest ratio of coefficients is below this, an anchor point gives no useful bound.
 _FAR = 1e-3
 _MOST = 8
 # Number of modes at the anchor points beyond the requested ones.
@@ -252,14 +252,14 @@ class Anchors:
         return Far(theta[i], j, outer, outer > self.theta[0, j], not self.proven and tight[i] <= 0.0)
 
     def _tight(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return α for every anchor point at theta (n, p), and α divided by the largest coefficient ratio.
+        """Return the bound factor α of every anchor point at theta (n, p), and α over the largest coefficient ratio.
 
         Both have shape (n_anchors, n). The second array is −1 where α is not positive. A largest ratio below 1
         counts as 1.
         """
         ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
         low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
-        # a term that is zero at an anchor point is compared with a small part of its value at the middle of the box
+        # a term that is zero at an anchor point is compared with a small part of its value at the centre
         left_out = _WIDE * self._ratios(theta, self.theta[0])
         high = np.where(np.isinf(high), np.max(np.where(np.isinf(ratios), left_out, ratios), axis=2), high)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -269,7 +269,7 @@ class Anchors:
         here, there = coefficients(self._terms, theta), coefficients(self._terms, at[None])
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = here / there
-        # a term that is zero at the anchor point does not lower the bound, as long as its coefficient is not negative
+        # a term that is zero at the anchor point does not lower the bound unless its coefficient is negative
         return np.where(there == 0.0, np.where(here >= 0.0, np.inf, -np.inf), np.where(there < 0.0, np.nan, ratio))
 
     def _estimate_alpha(self, theta: FloatArray, best: IntArray, space: Space) -> FloatArray:
