@@ -252,7 +252,7 @@ class Anchors:
         return Far(theta[i], j, outer, outer > self.theta[0, j], not self.proven and tight[i] <= 0.0)
 
     def _tight(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the bound factor α of every anchor point at theta (n, p), and α over the largest coefficient ratio.
+        """Return each anchor point's bound factor α at theta (n, p), and α over the largest coefficient ratio.
 
         Both have shape (n_anchors, n). The second array is −1 where α is not positive. A largest ratio below 1
         counts as 1.
