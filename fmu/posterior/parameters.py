@@ -111,7 +111,8 @@ def value_and_parameter(given: float | Parameter) -> tuple[float, Parameter | No
 
 def value_or_name(given: Any) -> Plain:
     """Return a known setting unchanged, or the parameter name of an inferred setting."""
-    return given.name if isinstance(given, Parameter) else given
+    inferred = parameter_in(given)
+    return given if inferred is None else inferred.name
 
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from fmu.formats.decks import EXPORTED
 from fmu.formats.models.read import read_beside
+from fmu.plain_data import list_in, mapping_in
 
 _EDITOR = "#:schema"
 
@@ -98,11 +99,11 @@ def rename(text: str, names: Mapping[str, str]) -> str:
 
 def _strings(part: Any) -> Iterator[tuple[Any, Any]]:
     """Yield the location of every string in a document: the table or array that contains it, and its key there."""
-    for key, value in part.items() if isinstance(part, Mapping) else enumerate(part):
+    table = mapping_in(part)
+    for key, value in enumerate(list_in(part) or ()) if table is None else table.items():
         if isinstance(value, str):
             yield part, key
-        elif isinstance(value, Mapping | list):
-            yield from _strings(value)
+        yield from _strings(value)
 
 
 def _toml_number(value: float) -> str:

@@ -43,6 +43,7 @@ from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.densities import names_of
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.plain_data import mapping_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -199,7 +200,7 @@ def diagnose(
     check_trace(trace)
     if problem is not None and names_of(problem) != parameter_names(trace):
         raise ArgumentError("problem", f"must have the parameters {parameter_names(trace)}", names_of(problem))
-    named = dict(others) if isinstance(others, Mapping) else {str(k): other for k, other in enumerate(others, 1)}
+    named = mapping_in(others) or {str(k): other for k, other in enumerate(others, 1)}
     for name, other in named.items():
         check_trace(other, f"others.{name}")
     check_parameters(trace, named)

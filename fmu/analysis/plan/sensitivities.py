@@ -13,7 +13,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.reduced.anchors import SingularAnchorError
-from fmu.fem.reduced.reduced_structure import ReducedStructure, train
+from fmu.fem.reduced.reduced_structure import reduced_in, train
 from fmu.progress.phases import phase
 from fmu.types import BoolArray, Dof, FloatArray
 
@@ -171,10 +171,11 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
     for tolerance in _TOLERANCES:
         with phase("training"):
             try:
-                model, _ = train(paired, np.min(theta, axis=0), np.max(theta, axis=0), tolerance)
+                trained, _ = train(paired, np.min(theta, axis=0), np.max(theta, axis=0), tolerance)
             except SingularAnchorError:
                 break
-        if not isinstance(model, ReducedStructure):
+        model = reduced_in(trained)
+        if model is None:
             break
         with phase("derivatives at draws", n):
             seen = model.observed(theta, True)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.numbers import share
+from fmu.plain_data import mapping_in
 from fmu.types import BoolArray, FloatArray
 
 _THINNED = 1.02
@@ -149,10 +150,11 @@ def _parameter_names(given: Any) -> tuple[str, ...]:
     """
     if not given:
         return ()
-    if not isinstance(given, dict):
+    by_name = mapping_in(given)
+    if by_name is None:
         return tuple(str(name) for name in given)
     found: dict[int, str] = {}
-    for name, at in given.items():
+    for name, at in by_name.items():
         where = np.atleast_1d(np.asarray(at)).tolist()
         found |= {i: name if len(where) == 1 else f"{name}[{k}]" for k, i in enumerate(where)}
     return tuple(found[i] for i in sorted(found))

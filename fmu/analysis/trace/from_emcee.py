@@ -18,7 +18,7 @@ from fmu.analysis.trace.densities import is_updating, names_of
 from fmu.analysis.trace.emcee_runs import StoredEnsemble, check_alike
 from fmu.analysis.trace.modal_states import with_modes
 from fmu.analysis.trace.reading import IMPORTED, parameter_names, with_group
-from fmu.arguments import check_arguments
+from fmu.arguments import as_list, check_arguments
 from fmu.numbers import typed
 from fmu.posterior.parameters import require_name
 from fmu.samplers.loop.record import Draws, RunResult
@@ -109,7 +109,7 @@ def from_emcee(
     UserWarning
         If walkers moved more often than emcee accepted proposals, so that not all steps were stored.
     """
-    sources = list(source) if isinstance(source, list | tuple) else [source]
+    sources = as_list(source)
     if not sources:
         raise ValueError("source: must hold at least one ensemble (got none)")
     whole_number("thin_by", thin_by, 1)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.formats.shown import quote
+from fmu.plain_data import mapping_in
 from fmu.types import FloatArray
 
 MOST_NUMBERS = 2**24
@@ -73,13 +73,14 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
 
 def _parts(given: object) -> list[Any]:
     """Return the frequencies, shapes and gradient as a list, with None for a missing array."""
-    if isinstance(given, Mapping):
-        unknown = [key for key in given if key not in _PARTS]
-        if unknown or "frequencies" not in given:
+    by_name = mapping_in(given)
+    if by_name is not None:
+        unknown = [key for key in by_name if key not in _PARTS]
+        if unknown or "frequencies" not in by_name:
             raise AnswerError(
-                f"must return frequencies, and may return shapes and gradient (got {quote(list(given))})"
+                f"must return frequencies, and may return shapes and gradient (got {quote(list(by_name))})"
             )
-        return [given.get(part) for part in _PARTS]
+        return [by_name.get(part) for part in _PARTS]
     if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
         if len(given) > len(_PARTS):
             raise AnswerError(f"must return at most frequencies, shapes and gradient (got {len(given)} arrays)")

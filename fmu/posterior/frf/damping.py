@@ -219,8 +219,8 @@ def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
             array = sp.csr_array(value)
             parts = (array.indptr, array.indices, array.data)
             found["sha256"] = digest(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))
-        elif isinstance(value, Mapping):
-            found[key] = {name: value_or_name(one) for name, one in value.items()}
+        elif (table := mapping_in(value)) is not None:
+            found[key] = {name: value_or_name(one) for name, one in table.items()}
         elif isinstance(value, Sequence) and not isinstance(value, str):
             found[key] = [value_or_name(one) for one in value]
         else:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, as_list, check_arguments
 from fmu.posterior.joint.varies.damage import loss_parameter
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
@@ -39,7 +39,7 @@ class DamageTarget:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that may have lost stiffness."""
-        return (self.of,) if isinstance(self.of, str) else tuple(self.of)
+        return tuple(as_list(self.of))
 
     def parameters(self, problem: UpdatingProblem) -> list[Parameter]:
         """Return the losses as new parameters for a problem with one test; with several tests the list is empty.

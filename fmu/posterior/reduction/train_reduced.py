@@ -18,7 +18,7 @@ from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.points import box_points
-from fmu.fem.reduced.reduced_structure import ReducedStructure, restore, train, train_at
+from fmu.fem.reduced.reduced_structure import ReducedStructure, reduced_in, restore, train, train_at
 from fmu.fem.reduced.training import BUDGET
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.density import Posterior
@@ -159,12 +159,13 @@ def _reduce(
         )
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
-    if not isinstance(model, ReducedStructure):
+    reduced = reduced_in(model)
+    if reduced is None:
         if likelihood.of_modes:
             model, state = _trained_at_draws(problem, structure, trained, tolerance.frequency) or (model, state)
         store_basis(key, state)
         return model, _find_tolerance(problem, model, tolerance, state)
-    error = 0.0 if model.confirmed else _paired_error(model, trained[0], trained[1], tolerance.frequency)
+    error = 0.0 if reduced.confirmed else _paired_error(reduced, trained[0], trained[1], tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
