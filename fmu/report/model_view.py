@@ -174,7 +174,7 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
-    """Return displacements (mode, node, direction) before updating, at the posterior mean and measured.
+    """Return displacements (mode, node, direction) before updating, at the posterior mean and measured, as a dict.
 
     The measured shapes are expanded to all nodes; they are omitted for large meshes.
     """

@@ -211,5 +211,5 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
 
 
 def _multiply(share: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return the product share · slope, or 0 where the share is 0 and a distant candidate has no slope."""
+    """Return share · slope, but 0 where the share is 0, because a distant candidate may have no slope."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

@@ -33,6 +33,7 @@ class QuantityTerm(NamedTuple):
     ----------
     labels, units : tuple of str
     measured, sd : ndarray, shape (q,)
+        Measured values and their standard deviations, in `units`.
     computed : callable
         Returns the computed values (n, q) for model parameters (n, n_structural) and, if the second argument is
         True, their derivatives.

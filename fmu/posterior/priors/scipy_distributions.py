@@ -204,7 +204,7 @@ class ScipyPrior(InvertedPrior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """Support of the distribution."""
+        """Interval outside which the distribution has no density."""
         low, high = self.distribution.support()
         return float(low), float(high)
 

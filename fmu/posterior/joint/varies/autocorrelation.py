@@ -115,9 +115,9 @@ class InTime:
         return cls(float(how), None, by, np.array(here)[order], times)
 
     def correlation_times(self, theta: FloatArray) -> FloatArray:
-        """Return T, shape (n, 1), at theta (n, n_parameters), raised to a small positive minimum.
+        """Return the correlation time T, shape (n, 1), at theta (n, n_parameters), but at least a small value.
 
-        At the minimum, scores are independent.
+        At this smallest value, scores are independent.
         """
         column = self.column
         found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
@@ -142,12 +142,12 @@ class InTime:
         return found, np.where(inside, new - now + step, -np.inf)
 
     def correlations(self, theta: FloatArray, gaps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ρ and 1 − ρ², shape (n, k) each, for score pairs separated by the time `gaps` (k,)."""
+        """Return the correlation ρ of score pairs separated by the times `gaps` (k,), and 1 − ρ², (n, k) each."""
         exponent = -gaps / self.correlation_times(theta)
         return np.exp(exponent), -np.expm1(2.0 * exponent)
 
     def between(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ρ and 1 − ρ² between each score and the one before it, shape (n, m − 1) each."""
+        """Return the correlation ρ of each score with the one before it, and 1 − ρ², shape (n, m − 1) each."""
         return self.correlations(theta, np.diff(self.times))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -83,7 +83,9 @@ class Factor(NamedTuple):
     Attributes
     ----------
     values : ndarray, shape (n, n_tests) or (1, n_tests)
+        The factor in each test.
     slopes : list of Slope
+        Its derivatives with respect to parameters of theta.
     """
 
     values: FloatArray

@@ -121,7 +121,7 @@ class Lost(Multiplied):
     is_lost: BoolArray
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the remaining shares 1 − d in the tests, at theta (n, n_parameters)."""
+        """Return the share of the undamaged value that remains in each test, 1 − d."""
         loss = np.where(self.is_lost, theta[:, self.columns], 0.0)
         by_loss = np.broadcast_to(np.where(self.is_lost, -1.0, 0.0), loss.shape)
         return Factor(1.0 - loss, [Slope(self.columns, by_loss)])

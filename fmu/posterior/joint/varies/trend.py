@@ -46,7 +46,7 @@ class Trend(Multiplied):
     effects: tuple[OnCovariate, ...]
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return 1 + Σ_k g_k(x_k) in the tests, at theta (n, n_parameters)."""
+        """Return each test's factor 1 + Σ_k g_k(x_k) on the value, at theta (n, n_parameters)."""
         n_tests = len(self.effects[0].covariate.values)
         factor, found = np.ones((len(theta), n_tests)), []
         for effect, covariate in self.effects:

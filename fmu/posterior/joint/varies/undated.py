@@ -165,7 +165,7 @@ class LostFrom(Multiplied):
     by: str
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the remaining shares 1 − d r(τ) in the tests, at theta (n, n_parameters)."""
+        """Return the share of the undamaged value that remains in each test, 1 − d r(τ)."""
         loss, n = theta[:, [self.column]], len(self.times)
         share, by_date = self._share(theta, self.times)
         slopes = [Slope(np.full(n, self.column), -share), Slope(np.full(n, self.date), -loss * by_date)]

@@ -47,8 +47,10 @@ class Shown(NamedTuple):
     ----------
     name, unit : str
     lines : ndarray, shape (n_lines,), Hz
+        Frequencies of the lines.
     measured : ndarray of complex, shape (n_lines,)
     used, held_out : ndarray of bool, shape (n_lines,)
+        Whether a line is used in updating, and whether it is held out to test the updated model.
     """
 
     name: str
