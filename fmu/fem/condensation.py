@@ -123,7 +123,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
 
 
 def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, ...]:
-    """Return the interior degrees of freedom (indices) in each part that the boundary cuts off."""
+    """Return the interior degrees of freedom in each part that the boundary cuts off, one index array per part."""
     interior = np.setdiff1d(np.arange(K.shape[0]), np.asarray(boundary, dtype=np.int64))
     pattern = sp.csr_array(abs(K) + abs(M))[interior][:, interior]
     count, label = connected_components(pattern, directed=False)

@@ -200,7 +200,7 @@ def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
 
 
 def _solve_scaled(solve: Solve, loads: FloatArray) -> FloatArray:
-    """Return F⁻¹ b for columns b that are first scaled to 1, to stay within the range of single precision."""
+    """Return F⁻¹ b for b (n, m), scaling columns to 1 to stay within the range of single precision."""
     size = np.max(np.abs(loads), axis=0)
     size = np.where(size > 0.0, size, 1.0)
     return solve(loads / size) * size

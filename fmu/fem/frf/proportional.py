@@ -97,7 +97,7 @@ class ProportionalDamping:
     n_rigid: int = 0
 
     def _ratio_of(self, r: int) -> IntArray:
-        """Return, for each of r modes, the index of its ratio in `ratios`."""
+        """Return the index of each mode's damping ratio in `ratios`, shape (r,)."""
         return np.clip(np.arange(r) - self.n_rigid, 0, len(self.ratios) - 1)
 
     def _zeta(self, values: FloatArray, r: int) -> FloatArray:

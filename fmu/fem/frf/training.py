@@ -242,7 +242,7 @@ def _truncate(
 
 
 def _some_lines(block: ReducedBlock, theta: FloatArray, lines: Lines) -> IntArray:
-    """Return the indices of evenly spaced lines, and of the lines nearest to the resonances at theta."""
+    """Return the indices (m,) of evenly spaced lines, and of the lines nearest to the resonances at theta."""
     even = np.linspace(0, len(lines.omega) - 1, min(_EVEN, len(lines.omega))).astype(np.int64)
     lam = block.eigenvalues(theta[None], min(block.size, 2 * _EVEN))[0]
     omega = np.sqrt(lam[(lam > lines.omega[0] ** 2) & (lam < lines.omega[-1] ** 2)])

@@ -128,7 +128,10 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes for a K scaled to a unit diagonal; both matrices are dense or both are sparse."""
+    """Return the lowest eigenvalues (count,) and shapes (n, count) for a K scaled to a unit diagonal, S.
+
+    Both matrices are dense or both are sparse.
+    """
     if clear is not None:
         factor = clear.scaled
     else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
@@ -214,7 +217,10 @@ def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
 
 
 def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
-    """Return an M-orthonormal basis of the columns of N. Raise SingularMassError if a column moves no mass."""
+    """Return an M-orthonormal basis of the column space of N (n, r).
+
+    Raises SingularMassError if a motion in this space moves no mass.
+    """
     G = N.T @ (M @ N)
     if np.linalg.eigvalsh(G)[0] <= ZERO * np.trace(G):
         raise SingularMassError("a motion without strain moves no mass")
@@ -265,7 +271,7 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count:
 def _polish(
     S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Rayleigh quotients and mass-normalised vectors of the space that X spans.
+    """Return the Rayleigh quotients (m,) and mass-normalised vectors (n, m) of the space that X (n, m) spans.
 
     The columns of X start with the lowest mode. The inverse problem gives high modes less accurately; they are
     replaced by the Ritz vectors of their span.
@@ -320,7 +326,7 @@ def _all_below_zero(
 ) -> tuple[FloatArray, FloatArray]:
     """Call `solve` for more and more of the lowest eigenpairs until the last eigenvalue is above zero.
 
-    At most `most` eigenpairs are requested.
+    At most `most` eigenpairs are requested. Returns eigenvalues (m,) and vectors (n, m).
     """
     count = min(_AT_ONCE, most)
     lam, vectors = solve(count)
@@ -389,7 +395,10 @@ def _is_definite(S: Matrix) -> bool:
 
 
 def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the `count` eigenvalues of S nearest to `sigma` and their vectors, from factors of S − sigma I."""
+    """Return the `count` eigenvalues of S nearest to `sigma`, (count,), and their vectors, (n, count).
+
+    `factor` contains the factors of S − sigma I.
+    """
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)

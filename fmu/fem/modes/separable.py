@@ -91,7 +91,7 @@ class Geometry:
 
     @cached_property
     def drawn(self) -> IntArray:
-        """Rows of the nodes that are plotted: all nodes or, for another program's mesh, the line ends."""
+        """Rows (m,) of the plotted nodes: all nodes or, for another program's mesh, the line ends."""
         return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
 
     @cached_property
@@ -253,7 +253,7 @@ class SeparableModel:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, ...]:
-        """Degrees of freedom in each decoupled block of the structure, as ascending indices.
+        """Degrees of freedom in each decoupled block of the structure: one array of ascending indices per block.
 
         The blocks are the connected components of the graph of nonzeros in Σ |K_k| + Σ |M_m|, so that the
         eigenproblem splits exactly. Entries that are nonzero only by rounding (as in a rotated element) do not
@@ -278,7 +278,7 @@ class SeparableModel:
 
     @cached_property
     def translations(self) -> IntArray:
-        """Indices of the translational degrees of freedom."""
+        """Indices of the translational degrees of freedom, shape (m,)."""
         return np.array([i for i, (_, d) in enumerate(self.dofs) if d in ("x", "y", "z")], dtype=np.int64)
 
     def dof(self, node: Hashable, direction: str) -> int:

@@ -98,7 +98,10 @@ class Mesh:
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return R and t of the best fit with the smallest rotation, and the other alignments that fit as well."""
+    """Return R (3, 3) and t (3,) of the best fit with the smallest rotation, and the equally good alternatives.
+
+    `x` are the points, shape (n, 3).
+    """
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
     # on a regular mesh every shift by its spacing is close to a minimum
@@ -185,7 +188,7 @@ def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return the rotation angle in degrees and the rotation axis of the matrix R."""
+    """Return the rotation angle in degrees and the rotation axis (3,) of the matrix R."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

@@ -295,11 +295,17 @@ class GivenModel(ModalModel):
         return getattr(self.given, "reasons", ())
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return the user's frequencies. Raise ValueError if the method raises or returns a wrong array."""
+        """Return the user's frequencies in Hz, shape (n, n_modes).
+
+        Raises ValueError if the user's method raises or returns a wrong array.
+        """
         return self._real("frequencies", self._call("frequencies", theta), (len(theta), self.n_modes))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the user's frequencies and gradients. Raise ValueError as `frequencies` does."""
+        """Return the user's frequencies in Hz, (n, n_modes), and gradients, (n, n_modes, n_parameters).
+
+        Raises ValueError as `frequencies` does.
+        """
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
         given = self._call(method, theta)
         if not (isinstance(given, tuple) and len(given) == 2):

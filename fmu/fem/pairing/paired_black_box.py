@@ -188,7 +188,10 @@ class PairedBlackBox(ModalModel):
         return f, df, phi
 
     def _columns(self, answer: Answer | Solve) -> IntArray:
-        """Return the index of the mode paired with each measured mode. Raise AnswerError if one is missing."""
+        """Return the index of the mode paired with each measured mode, shape (n_modes,).
+
+        Raises AnswerError if one is missing.
+        """
         given = len(answer.frequencies)
         if self.reference is None:
             if max(self.numbers) > given:

@@ -365,7 +365,7 @@ def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
 
 
 def candidate_numbers(counts: Mapping[int, int]) -> tuple[IntArray, IntArray]:
-    """Return the block index and the index within its block for the lowest `counts[b]` modes of each block b."""
+    """Return the block index and rank, shape (n,) each, for the lowest `counts[b]` modes of each block b."""
     ranks = np.concatenate([np.arange(count) for count in counts.values()])
     return np.repeat(list(counts), list(counts.values())), ranks
 

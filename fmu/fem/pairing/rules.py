@@ -106,7 +106,7 @@ class RankPairing(Pairing):
 
     @cached_property
     def _order(self) -> IntArray:
-        """Permutation from modes sorted by block to the order of the measured modes."""
+        """Permutation (n_modes,) from modes sorted by block to the order of the measured modes."""
         return np.argsort(np.concatenate(self._columns))
 
     def solve(

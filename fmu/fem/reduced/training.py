@@ -268,14 +268,17 @@ class Training:
         return good >= enough
 
     def _fresh(self) -> FloatArray:
-        """Return fresh points for checking a truncation, some of them near zero where a lower bound is zero."""
+        """Return fresh points (m, n_parameters) for checking a truncation.
+
+        Some of them are near zero in parameters whose lower bound is zero.
+        """
         self._cut_seed += 1
         points = self._shuffled_points(self._cut_seed, self._cut_seed)
         near_zero = points_near_zero(self.lower, self.upper, _SOBOL, self._cut_seed)
         return np.concatenate([points[:_FRESH], near_zero[:_FRESH]])
 
     def _shuffled_points(self, seed: int, order: int) -> FloatArray:
-        """Return `box_points` for `seed`, shuffled with the seed `order`."""
+        """Return `box_points` (m, n_parameters) for `seed`, shuffled with the seed `order`."""
         points = box_points(self.lower, self.upper, _SOBOL, seed)
         return points[np.random.default_rng(order).permutation(len(points))]
 

@@ -239,7 +239,7 @@ def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], li
 
 
 def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
-    """Convert an FRF's values to SI units, with rotations in rad and moments in N·m."""
+    """Return an FRF's values (n_lines,) in SI units, with rotations in rad and moments in N·m."""
     length, force = factor
     is_moment, is_rotation = (abs(int(one[f"{end}_dir"])) > 3 for end in ("ref", "rsp"))
     scale = force * length ** (int(is_moment) - int(not is_rotation))

@@ -120,7 +120,7 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
 
 
 def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
-    """Parse the two-dimensional array up to the closing bracket; return it and the position after the bracket."""
+    """Parse the array (rows, columns) up to the closing bracket; return it and the position after the bracket."""
     end = text.find("]", at)
     if end < 0:
         raise ValueError(f"{name} is cut short")

@@ -160,7 +160,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 
 
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
-    """Build a full matrix from values in column order; for a symmetric matrix, from its lower triangle."""
+    """Build a matrix (rows, columns) from values in column order, or from its lower triangle if symmetric."""
     if not sign:
         return values.reshape((rows, columns), order="F")
     matrix = np.zeros((rows, columns))

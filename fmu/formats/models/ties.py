@@ -145,7 +145,7 @@ def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> Float
 
 
 def _inside(at: FloatArray, n_corners: int) -> FloatArray:
-    """Return the point in the reference triangle or square nearest to `at`."""
+    """Return the point (2,) in the reference triangle or square nearest to `at`."""
     if n_corners == 4:
         return np.clip(at, -1.0, 1.0)
     beyond = max(float(np.maximum(at, 0.0).sum()) - 1.0, 0.0)
