@@ -128,10 +128,7 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues (count,) and shapes (n, count) for a K scaled to a unit diagonal, S.
-
-    Both matrices are dense or both are sparse.
-    """
+    """Return the lowest modes, (count,) and (n, count), for S with unit diagonal and M, both dense or both sparse."""
     if clear is not None:
         factor = clear.scaled
     else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
@@ -217,10 +214,7 @@ def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
 
 
 def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
-    """Return an M-orthonormal basis of the column space of N (n, r).
-
-    Raises SingularMassError if a motion in this space moves no mass.
-    """
+    """Return an M-orthonormal basis of N's columns (n, r). Raise SingularMassError if a motion has no mass."""
     G = N.T @ (M @ N)
     if np.linalg.eigvalsh(G)[0] <= ZERO * np.trace(G):
         raise SingularMassError("a motion without strain moves no mass")
@@ -228,10 +222,7 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
-    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, highest first.
-
-    `factor` contains the factors of A.
-    """
+    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, highest first, from A's factors."""
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
@@ -324,10 +315,7 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 def _all_below_zero(
     solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Call `solve` for more and more of the lowest eigenpairs until the last eigenvalue is above zero.
-
-    At most `most` eigenpairs are requested. Returns eigenvalues (m,) and vectors (n, m).
-    """
+    """Solve for ever more of the lowest eigenpairs, up to `most`, until the last eigenvalue is above zero."""
     count = min(_AT_ONCE, most)
     lam, vectors = solve(count)
     while lam[-1] < ZERO and count < most:
@@ -395,10 +383,7 @@ def _is_definite(S: Matrix) -> bool:
 
 
 def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the `count` eigenvalues of S nearest to `sigma`, (count,), and their vectors, (n, count).
-
-    `factor` contains the factors of S − sigma I.
-    """
+    """Return the `count` eigenvalues of S nearest to `sigma`, and their vectors; `factor` is of S − sigma I."""
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)
