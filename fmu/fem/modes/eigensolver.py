@@ -128,7 +128,7 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes, (count,) and (n, count), for S with unit diagonal and M, both dense or both sparse."""
+    """Return the lowest eigenvalues (count,) and shapes (n, count) for a K scaled to S, with unit diagonal."""
     if clear is not None:
         factor = clear.scaled
     else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
