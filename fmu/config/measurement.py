@@ -191,7 +191,7 @@ class MeasurementTable(TomlTable):
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list with an error if a frequency uncertainty is needed but missing; otherwise []."""
+        """Return a list with an error if a frequency uncertainty is needed but missing, or [] if not."""
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]

@@ -268,7 +268,7 @@ class ParameterTable(Uncertain, Target):
         return self
 
     def variation(self) -> str | Variation | None:
-        """Return how the parameter varies between tests, as an object or a name; None if the file does not say."""
+        """Return how the parameter varies between tests, as an object or a name, or None if not specified."""
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
         loss = None if self.loss is None else self.loss.build()

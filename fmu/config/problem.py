@@ -280,7 +280,7 @@ class ProblemFile(TomlTable):
 
     @property
     def _errors(self) -> list[ErrorTable]:
-        """The ``[[error]]`` tables; empty if ``error`` is a name."""
+        """The ``[[error]]`` tables, or an empty list if ``error`` is a name."""
         return [] if isinstance(self.error, str) else self.error
 
     @property

@@ -180,7 +180,7 @@ class BlackBoxModel:
         return _answer_of(self.solved.at_start(np.asarray(theta, dtype=float)))
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why the solve at theta (n_parameters,) failed; None if it succeeded or is no longer in memory."""
+        """Return why the solve at theta (n_parameters,) failed, or None if it succeeded or is not in memory."""
         solve = self.solved.recall(theta)
         return None if solve is None else solve.reason or None
 

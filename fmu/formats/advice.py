@@ -27,7 +27,7 @@ _PROGRAMS = {
 
 
 def how_to_export(suffix: str) -> str:
-    """Return instructions for exporting matrices from programs that use this file suffix; empty if it is unknown.
+    """Return instructions for exporting matrices from programs that use this file suffix, or "" if unknown.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ class ExportsTable(ModelTable):
 
     @property
     def decks(self) -> list[str]:
-        """Name of the template, in a list; empty if there is no template."""
+        """Name of the template, in a list, or an empty list if there is no template."""
         return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:

@@ -78,7 +78,7 @@ class Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return how many significant decimal digits the numbers have; 17 if decimals do not reproduce them.
+    """Return how many significant decimal digits the numbers have, or 17 if decimals do not reproduce them.
 
     No program writes matrices with fewer than `_FEWEST_DIGITS` digits: numbers with fewer digits are exact.
     """

@@ -228,7 +228,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
 
 
 def _pointing(direction: str) -> FloatArray:
-    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``; NaN for a rotation."""
+    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``, or NaN for a rotation."""
     if direction[-2:] in _ROTATIONS:
         return np.full(3, np.nan)
     unit = np.zeros(3)

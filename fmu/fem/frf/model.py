@@ -155,7 +155,7 @@ class FRFModel:
         return found
 
     def _key(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> dict[str, str]:
-        """Return the cache key of the basis; empty for a structure that is not reduced."""
+        """Return the cache key of the basis, or an empty dict without a reduced model."""
         if self.full.size <= EXACT_LIMIT:
             return {}
         lines, given = self.lines, self.damping

@@ -79,7 +79,7 @@ class Block:
         raise NotImplementedError
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
-        """Return the lowest eigenvalues, shape (n, count), (rad/s)²; NaN where the solver fails."""
+        """Return the lowest eigenvalues, shape (n, count), (rad/s)², with NaN where the solver fails."""
         return self.modes(theta, count)[0]
 
     def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
@@ -241,7 +241,7 @@ class Block:
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:
-        """Return the block with only the leading share of its reduced basis; the block itself if not reduced."""
+        """Return the block with only the leading share of its reduced basis, or itself if not reduced."""
         return self
 
     def coordinates(self, rows: sp.csr_array) -> Matrix:

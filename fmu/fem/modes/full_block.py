@@ -95,7 +95,7 @@ class FullBlock(Block):
         return (matrix.add_up(weights, dense) for weights in matrix.coefficients(theta))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
+        """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count), with NaN on failure.
 
         A large block stores its last solve at a single theta, because several quantities are needed at the
         starting point. A block that no parameter changes is solved only once. From `LARGE` degrees of freedom on,

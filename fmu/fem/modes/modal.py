@@ -26,7 +26,7 @@ def is_rigid(eigenvalues: FloatArray) -> BoolArray:
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
-    """Convert eigenvalues to frequencies √λ / 2π in Hz; NaN for a clearly negative λ, which has no vibration.
+    """Convert eigenvalues to frequencies √λ / 2π in Hz, or NaN if λ is clearly negative.
 
     Parameters
     ----------

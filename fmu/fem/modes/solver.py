@@ -144,7 +144,7 @@ class LastFactor:
         return LastFactor, ()
 
     def at(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
-        """Return the factors at theta (n_parameters,), stored or from `make`; None if `make` returns None."""
+        """Return the factors at theta (n_parameters,), stored or from `make`, or None if `make` returns None."""
         if self._at != theta.tobytes():
             self._at = self.factor = None  # before the next factors take memory
             self.factor = make()

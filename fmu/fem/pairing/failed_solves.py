@@ -74,7 +74,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return the reason why a block fails and the degree of freedom concerned, if any; None if it solves."""
+    """Return the reason why a block fails and the degree of freedom concerned, if any, or None if it solves."""
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):

@@ -268,7 +268,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a list with a warning if other alignments fit equally well; otherwise an empty list."""
+    """Return a list with a warning if other alignments fit equally well, or an empty list if not."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"

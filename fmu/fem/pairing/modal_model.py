@@ -39,7 +39,7 @@ class FrequencyMap(Protocol):
     n_modes: int
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes); NaN where a solve failed."""
+        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes), or NaN where a solve failed."""
         ...
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -139,7 +139,7 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return how long a user's function took at theta (n_parameters,) in seconds; None without a function."""
+        """Return how long a user's function took at theta (n_parameters,) in s, or None without a function."""
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:
@@ -152,7 +152,7 @@ class ModalModel:
         return np.zeros(self.n_modes, dtype=np.int64)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the structure that parameter `k` changes and its index there; None without matrices."""
+        """Return the structure that parameter `k` changes and its index there, or None without matrices."""
         return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
@@ -164,7 +164,7 @@ class ModalModel:
         yield from ()
 
     def coarser(self, share: float) -> Self:
-        """Return a cheaper, less accurate model with only a share of the reduced basis; itself if not reduced."""
+        """Return a cheaper, less accurate model with a share of the reduced basis, or itself if not reduced."""
         return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
@@ -184,7 +184,7 @@ class ModalModel:
         return of(self, theta[:, : self.n_parameters])
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes); NaN where a solve failed."""
+        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes), or NaN where a solve failed."""
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
@@ -250,7 +250,7 @@ class PartialModel(ModalModel):
         self._modes, self._rows = list(modes), list(rows)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
+        """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""
         return self.whole.frequencies(theta)[:, self._modes]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -105,7 +105,7 @@ class PairedBlackBox(ModalModel):
         return self.black_box.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes); NaN where the function failed."""
+        """Return frequencies in Hz, shape (n, n_modes), with NaN where the function failed."""
         return self._pair_modes(theta)[0]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -255,7 +255,7 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
+        """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -296,7 +296,7 @@ class PairedStructure(ModalModel):
         return {b: min(count + 1, self.blocks[b].n_modes) for b, count in counts.items()}
 
     def spectra(self, theta: FloatArray, counts: Mapping[int, int]) -> FloatArray:
-        """Return the lowest `counts[b]` eigenvalues of each block b, (n, n_candidates); NaN where untrained."""
+        """Return the lowest `counts[b]` eigenvalues of each block b, (n, n_candidates), or NaN if untrained."""
         parts = []
         for b, count in counts.items():
             found = np.full((len(theta), count), np.nan)

@@ -45,7 +45,7 @@ class Pairing(ABC):
     is_constant: ClassVar[bool] = False
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return the `Observation` of each block whose shapes are compared; empty if no shapes are compared."""
+        """Return the `Observation` of each block whose shapes are compared, or {} if no shapes are compared."""
         return {}
 
     @abstractmethod
@@ -301,7 +301,7 @@ class ShapePairing(Pairing):
         return fixed, {b: 1 + max(r for owner, r in ranks if owner == b) for b in fixed.block}
 
     def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return the MAC assignment as fixed ranks if it is the same at every sampled theta; otherwise None."""
+        """Return the MAC assignment as fixed ranks if it is the same at every sampled theta, or None if not."""
         observed = self.observe(blocks)
         found: RankPairing | None = None
         for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):

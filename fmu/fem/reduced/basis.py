@@ -102,7 +102,7 @@ class ReducedBlock(Block):
         return self.truncate(few) if few < self.size < len(self.dofs) else self
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
-        """Return the lowest eigenvalues in (rad/s)², shape (n, count); NaN where the solver fails."""
+        """Return the lowest eigenvalues in (rad/s)², shape (n, count), with NaN where the solver fails."""
         if self.massless:
             return self.modes(theta, count)[0]
         A = assemble(self._K, self._K_map.coefficients(theta))
@@ -112,7 +112,7 @@ class ReducedBlock(Block):
         return row_by_row(_values, A)[0][:, :count]
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
+        """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis, or NaN on failure."""
         A = assemble(self._K, self._K_map.coefficients(theta))
         few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
@@ -201,7 +201,10 @@ class ReducedBlock(Block):
         return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂φ/∂θ, shape (n, r, m, n_parameters), from one system per mode; NaN for repeated eigenvalues."""
+        """Return ∂φ/∂θ, shape (n, r, m, n_parameters), from one system per mode.
+
+        They are NaN for repeated eigenvalues.
+        """
         n, r, count = phi.shape
         dK, dM = (
             coefficient.contract(theta, (rows @ phi).reshape(n, -1, r * count)).reshape(n, r, count, -1)
@@ -343,7 +346,7 @@ def _solve_bordered(*parts: FloatArray) -> tuple[FloatArray]:
 
 
 def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues (n, count) and eigenvectors (n, r, count); NaN where A is not finite."""
+    """Return the lowest eigenvalues (n, count) and eigenvectors (n, r, count), with NaN where A is not finite."""
     lam, phi = np.full((len(A), count), np.nan), np.full((*A.shape[:2], count), np.nan)
     for i in np.flatnonzero(np.isfinite(A).all(axis=(1, 2))):
         lam[i], phi[i] = sl.eigh(A[i], subset_by_index=[0, count - 1], check_finite=False)

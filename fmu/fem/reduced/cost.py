@@ -88,7 +88,7 @@ class Cost:
 
 
 def memory_in_words(model: SeparableModel) -> str:
-    """Return a sentence on how much memory a run with a reduced model needs; empty if no block stores factors.
+    """Return a sentence on the memory that a run with a reduced model needs, or "" without large blocks.
 
     The sentence also says if less memory is free. The constants come from frames, solids and shells in the study
     of large structures; the estimates agree with the measured peaks within a fifth.

@@ -133,7 +133,7 @@ class Learner:
         self.share = np.concatenate([self.share, np.full(len(theta), share)])
 
     def solve_visited(self) -> tuple[FloatArray, FloatArray]:
-        """Return λ (n, count) and shapes (n, r, count) in the basis V at all visited points; NaN on failure."""
+        """Return λ (n, count) and shapes (n, r, count) in the basis V at all visited points, or NaN on failure."""
         lam, y = np.empty((0, self.count)), np.empty((0, self.space.size, self.count))
         if self._solved is not None and self._solved[0] is self.space:
             _, lam, y = self._solved
@@ -361,7 +361,7 @@ def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -
 
 
 def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:
-    """Return the relative frequency differences (n, m) between two arrays of λ; 0 for rigid-body modes."""
+    """Return the relative frequency differences (n, m) between two arrays of λ, with 0 for rigid-body modes."""
     rigid = (lam <= RIGID * lam[:, -1:]) & (reduced <= 10.0 * RIGID * lam[:, -1:])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rigid, 0.0, np.abs(np.sqrt(reduced / lam) - 1.0))

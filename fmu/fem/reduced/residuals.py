@@ -73,7 +73,7 @@ class Bounded(NamedTuple):
 def bound_errors(
     space: Space, anchors: Anchors, theta: FloatArray, count: int, shared: SharedResiduals | None = None
 ) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) with error bounds; NaN where the solver fails.
+    """Return the lowest `count` modes at theta (n, p) and their error bounds, with NaN where the solver fails.
 
     If the space's residuals are given in `shared`, no linear system is solved.
     """

@@ -51,7 +51,7 @@ class SharedResiduals:
 
     @classmethod
     def of(cls, block: FullBlock) -> Self | None:
-        """Return shared residuals for a space without vectors; None if the block is small or has many terms."""
+        """Return shared residuals for a space without vectors, or None for a small block or many terms."""
         n_terms = len(block.K_terms) + len(block.M_terms)
         if block.size < LARGE or n_terms > _MOST_TERMS:
             return None

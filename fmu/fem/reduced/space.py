@@ -84,7 +84,7 @@ class Space:
         return Space(self.block, self.shift, self.V[:, :size], _leading(self.K, size), _leading(self.M, size))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest λ (n, count) and M-normalised y (n, r, count) at theta (n, p); NaN on failure."""
+        """Return the lowest λ (n, count) and M-normalised y (n, r, count) at theta (n, p), with NaN on failure."""
         r, n = self.size, len(theta)
         lam, y = np.full((n, count), np.nan), np.full((n, r, count), np.nan)
         at_once = max(1, _AT_ONCE // r**2)

@@ -50,7 +50,7 @@ class Coordinates:
         return np.where(x == -1.0, self.lower, np.where(x == 1.0, self.upper, theta))
 
     def slope(self, theta: FloatArray) -> FloatArray:
-        """Return ∂x/∂θ for each parameter at theta, both of shape (n, n_parameters); 0 beyond `FARTHEST`."""
+        """Return ∂x/∂θ for each parameter at theta, both of shape (n, n_parameters), with 0 beyond `FARTHEST`."""
         half = 0.5 * (self._g(self.upper) - self._g(self.lower))
         goes_on = np.abs(self._map_without_limit(theta)) < FARTHEST
         return np.where(goes_on, 1.0, 0.0) / np.where(self.is_log & goes_on, theta, 1.0) / half

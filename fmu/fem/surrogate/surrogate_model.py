@@ -116,7 +116,7 @@ class SurrogateModel(ModalModel):
         return f"{self.name}, {len(self.design.theta)} solves"
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves are expected to fail."""
+        """Return expected frequencies in Hz, shape (n, n_modes), with NaN where a solve would probably fail."""
         x = self.coordinates.to_x(theta)
         if self.pairs.first:  # the expected frequencies of a close pair depend on the variances
             z, _ = self.pairs.values(*self._learnt(x))

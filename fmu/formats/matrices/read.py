@@ -223,7 +223,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice for the user if a matrix has entries in only one triangle; otherwise an empty string."""
+    """Return advice for the user if a matrix has entries in only one triangle, or an empty string if not."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""

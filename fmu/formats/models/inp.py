@@ -145,7 +145,7 @@ TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes
 
 
 def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
-    """Return the node ids on face S1, S2 … of a solid, including midside nodes; empty if there is no such face."""
+    """Return the node ids on face S1, S2 … of a solid, including midside nodes, or [] if there is no such face."""
     shape = kind.rstrip("0123456789")
     at = int(name[1:]) - 1 if re.fullmatch("S[1-6]", name) else 6
     if at >= len(_FACES_OF.get(shape, ())):

@@ -24,7 +24,7 @@ def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense t
 
 
 def is_short(needed: int) -> bool:
-    """Return True if fewer than `needed` bytes of memory are free; False if this is not known."""
+    """Return True if fewer than `needed` bytes of memory are free, or False if this is unknown."""
     free = free_memory()
     return free is not None and needed > free
 
