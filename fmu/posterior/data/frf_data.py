@@ -56,9 +56,8 @@ class FRFData:
         converted to its reciprocal, the receptance. This is correct for the quotient of one force and one
         response, with no other force applied, but not for an entry in the inverse of a receptance matrix.
     sd : ndarray, shape (n_frfs, n_lines), optional
-        Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar applies
-        to all values, and one number per FRF, shape (n_frfs, 1), to all its lines. NaN and 0 stand for missing
-        values.
+        Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar
+        applies to all values; one number per FRF, shape (n_frfs, 1), to all its lines. NaN and 0 mean missing.
     coherence : ndarray, shape (n_frfs, n_lines), optional
         Ordinary coherence γ², from 0 to 1. If `sd` is not given, it gives the standard deviations with `averages`:
         |H| √((1 − γ²)/(2 γ² n)) for the real and imaginary parts (Bendat & Piersol 2010, *Random Data*, 4th ed.,
@@ -208,8 +207,7 @@ class FRFData:
         sampling_hz : float
             Sampling rate, Hz.
         drives, responses, kind
-            The class attributes with these names; all drives must be the same. A dynamic stiffness is not
-            possible.
+            The class attributes with these names; all drives must be equal. Dynamic stiffness is not possible.
         estimator : {"H1", "H2"}
         window : str
             Window of each segment, a name in `scipy.signal.get_window`; "boxcar" for records of hits.
@@ -323,10 +321,7 @@ class FRFData:
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
         """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
 
-        Raises
-        ------
-        ValueError
-            If `mask` has another shape, or no line is left.
+        Raise ValueError if `mask` has another shape, or no line is left.
         """
         left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
         return replace(self, use=self._chosen & ~left_out, band=None)

@@ -50,8 +50,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     Raises
     ------
     ValueError
-        In the cases listed for `ModalLikelihood`, if mode errors are correlated or not Gaussian, or a discrepancy
-        does not fit the parameters.
+        As for `ModalLikelihood`, if mode errors are correlated or not Gaussian, or a discrepancy does not fit.
     """
 
     has_discrepancy = True
@@ -99,7 +98,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the terms depend on the frequencies alone; False if parameters scatter."""
+        """Whether the log-likelihood depends on the frequencies alone; False if parameters scatter."""
         return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -130,8 +129,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-likelihood terms, and the derivatives of their sum through each mode, (n, n_used, ndim).
 
-        Row i has the derivatives through the prediction of mode i in its test. They are the derivatives of term i
-        unless the mode was measured in several tests.
+        Row i differentiates through the prediction of mode i in its test. This is the gradient of term i unless
+        the mode was measured in several tests.
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
@@ -169,8 +168,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the whitened residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        Both are multiplied by S^(−½), so that the residuals are independent. S is the covariance of a mode's
-        residuals in all tests or, without a `chain`, in each test alone.
+        Both are multiplied by S^(−½), where S is the covariance of a mode's residuals in all tests or, without a
+        `chain`, in each test alone.
         """
         seen = self.observed(theta, True)
         with np.errstate(all="ignore"):
@@ -178,10 +177,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's squared residuals given the earlier tests, (n, n_kinds, n_used).
-
-        They are in standard deviations that include the discrepancy.
-        """
+        """Return each used mode's standardised squared residuals given earlier tests, (n, n_kinds, n_used)."""
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -191,7 +187,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def couples_modes(self) -> bool:
-        """Whether a mode's term depends on other data: the same mode in other tests, or all modes."""
+        """Whether a mode's likelihood depends on other data: the same mode in other tests, or all modes."""
         return self.errors.n_common > 0 or len(set(self.group[self._used].tolist())) < len(self._used)
 
     def terms_given_others(self, theta: FloatArray) -> FloatArray:
@@ -226,7 +222,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def errors_given_data(
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return `LatentErrors.given_common` for every mode, and mean and covariance of w, given the used data."""
+        """Return `LatentErrors.given_common` for each mode, and w's mean and covariance, given the used data."""
         (n, m, P), (*_, C) = (x.shape for x in self._in_hz(seen, theta))
         mean, gain, covariance = np.zeros((n, m, P)), np.zeros((n, m, P, C)), np.tile(np.eye(P), (n, m, 1, 1))
         if not len(used):
@@ -299,10 +295,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each frequency's derivatives, in Hz, with respect to its mode's own errors and common errors.
-
-        The shapes are (n, n_modes, P) and (n, n_modes, C).
-        """
+        """Return frequency derivatives in Hz by own errors, (n, n_modes, P), and common ones, (n, n_modes, C)."""
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 

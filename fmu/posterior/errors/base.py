@@ -35,8 +35,7 @@ class ErrorModel(Protocol):
         ----------
         data : ModalData
         index : callable
-            Takes an inferred standard deviation as a Parameter; returns its index among the problem's inferred
-            sds.
+            Takes an inferred standard deviation as a Parameter; returns its index among the inferred sds.
 
         Raises
         ------
@@ -80,15 +79,13 @@ class Evaluated(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Errors divided by their standard deviations, and their derivatives.
+    """Errors divided by their standard deviations, and derivatives by frequency (1/Hz) and by shape component.
 
     Attributes
     ----------
     values : ndarray, shape (n, n_modes, q)
     by_frequency : ndarray, shape (n, n_modes, q), or None
-        Derivatives with respect to the mode's frequency, 1/Hz.
     by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
-        Derivatives with respect to the components of the mode shape.
     """
 
     values: FloatArray
@@ -162,10 +159,8 @@ class ErrorTerm:
 
         Parameters
         ----------
-        seen : ModalPrediction
-            From `project`.
-        noise : ndarray, shape (n, n_noise)
-            Inferred standard deviations.
+        seen : ModalPrediction, from `project`
+        noise : ndarray, shape (n, n_noise), the inferred standard deviations
         gradient : bool
         """
         raise NotImplementedError
@@ -187,10 +182,8 @@ class ErrorTerm:
 
         Parameters
         ----------
-        seen : ModalPrediction
-            With derivatives.
-        noise : ndarray, shape (n, n_noise)
-            Inferred standard deviations.
+        seen : ModalPrediction, with derivatives
+        noise : ndarray, shape (n, n_noise), the inferred standard deviations
         by_slope : ndarray, shape (n, n_modes, q, n_parameters)
             Derivatives of the function with respect to each residual's slopes.
 
@@ -204,10 +197,7 @@ class ErrorTerm:
         raise NotImplementedError
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones.
-
-        Only frequency error models, those with `of_frequencies`, implement it.
-        """
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; needs `of_frequencies`."""
         raise NotImplementedError
 
     def simulate_inferred(
@@ -217,10 +207,7 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd of each measured frequency given the others, (n, n_modes), in Hz.
-
-        Only frequency error models, those with `of_frequencies`, implement it.
-        """
+        """Return mean and sd of each frequency given the others, (n, n_modes), Hz; needs `of_frequencies`."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
@@ -401,10 +388,7 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy at theta added, if there is one.
-
-        With `given_data`, the discrepancy is drawn given the data; otherwise it is drawn for a similar structure.
-        """
+        """Return frequencies (n, n_modes), Hz, plus a random model discrepancy, on request given the data."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

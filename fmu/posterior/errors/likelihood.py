@@ -155,8 +155,7 @@ class ModalLikelihood(Likelihood):
         """Return the sensitivity of the log-likelihood to an uncertain model's errors, at theta (n, ndim).
 
         The arrays from `fmu.posterior.errors.surrogate_variance.sensitivity_to_model`, (n, n_modes) for
-        frequencies and (n, n_sensors, n_modes) for shapes, are summed over the error models; unused modes have
-        zeros.
+        frequencies and (n, n_sensors, n_modes) for shapes, are summed over the error models; unused modes have 0.
         """
         seen, noise = self.observed(theta), theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -171,8 +170,7 @@ class ModalLikelihood(Likelihood):
         """Return all errors divided by their standard deviations (the residuals), and their derivatives.
 
         The residuals have the shape (n, n_residuals), the derivatives (n, n_residuals, n_structural). Gauss–Newton
-        steps and the data's linearised information are computed from them. Inferred standard deviations stay
-        fixed.
+        steps and the data's linearised information use them. Inferred standard deviations stay fixed.
         """
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
@@ -313,10 +311,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with derivatives with respect to theta.
-
-        Without a `chain` the derivatives are with respect to each test's own parameters.
-        """
+        """Return the predicted modes with derivatives by theta; without a `chain`, by each test's parameters."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 
@@ -335,7 +330,7 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta, chain)
 
     def _with_quantities(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the modes' terms (n, n_used) followed by the quantities' terms."""
+        """Return the modes' log-likelihood terms (n, n_used) followed by the quantities' terms."""
         if not self.quantities:
             return terms
         structural = theta[:, : self.n_structural]

@@ -30,7 +30,7 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
 
 
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
-    """Return the gradient of an error model's terms, shape (n, n_modes, n_structural + n_noise).
+    """Return the gradient of an error model's log-densities, (n, n_modes, n_structural + n_noise).
 
     If the prediction has derivatives, the number of their parameters replaces n_structural.
     """

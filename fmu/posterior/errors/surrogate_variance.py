@@ -27,7 +27,7 @@ _STEP = 1e-5  # of an inferred standard deviation, relative
 def evaluated_with_variance(
     term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool
 ) -> Evaluated:
-    """Return an error model's terms for a prediction with variances; see `ErrorTerm.evaluate`.
+    """Return an error model's log-density terms for a prediction with variances; see `ErrorTerm.evaluate`.
 
     The derivatives with respect to the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a
     constant h (Gauss–Newton). The derivatives with respect to inferred standard deviations are central differences

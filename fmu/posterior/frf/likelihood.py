@@ -317,10 +317,7 @@ class FRFLikelihood(Likelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy at theta added, if there is one.
-
-        With `given_data`, the discrepancy is drawn given the data; otherwise it is drawn for a similar structure.
-        """
+        """Return frequencies (n, n_modes), Hz, plus a random model discrepancy, on request given the data."""
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

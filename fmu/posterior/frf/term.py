@@ -124,10 +124,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs, (n, n_frfs, n_lines), at the lines that the term `every` uses.
-
-        Subclasses with model errors draw these given this term's data.
-        """
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines in `every`; subclasses draw their model errors."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -173,10 +170,7 @@ class FRFTerm:
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
     def distance(self, frfs: ComplexArray, theta: FloatArray) -> ComplexArray:
-        """Return the measured minus the computed FRFs in error standard deviations, (n, n_frfs, n_lines).
-
-        With errors in log H, these are the differences of the logarithms; see `error_sd`.
-        """
+        """Return measured minus computed FRFs (or their logarithms) in error sds; see `error_sd` for shapes."""
         measured = self._measured * self._power
         error = measured - frfs
         if self._is_log:

@@ -140,7 +140,7 @@ class ContaminatedScores:
         return np.asarray((self.scales > 1.0).any(axis=2))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return log p(z) minus the log-density of independent scores in each test, and its derivatives.
+        """Return each test's score log-density, relative to independent normal scores, and its derivatives.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class ContaminatedScores:
         return np.asarray(found - eye)
 
     def precision_of(self, theta: FloatArray, scales: FloatArray) -> FloatArray:
-        """Return (D R D)⁻¹, shape (n, n_tests, p, p), for the diagonals D in `scales`, (n, n_tests, p)."""
+        """Return the score precision (D R D)⁻¹, (n, n_tests, p, p), for the D in `scales`, (n, n_tests, p)."""
         inverse = np.eye(scales.shape[2]) + (
             0.0 if self.correlation is None else self.correlation.precision(theta)
         )

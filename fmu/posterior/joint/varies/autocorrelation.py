@@ -103,7 +103,10 @@ class InTime:
     def of_tests(
         cls, how: float | str | Prior, by: str, p: Parameter, of: int, theta: Theta, here: Sequence[int]
     ) -> InTime:
-        """Add T to theta if it is inferred; return the scores in time. The arguments are as in `Population`."""
+        """Add T to theta if it is inferred; return the population's scores as a process in time.
+
+        The arguments are as in `Population`.
+        """
         times = times_of(by, theta.tests)[list(here)]
         order = np.argsort(times, kind="stable")
         times = times[order]
@@ -151,12 +154,12 @@ class InTime:
         return self.correlations(theta, np.diff(self.times))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return log p(z) minus the log-density of independent scores, for scores z (n, m), and its derivatives.
+        """Return each score's log-density given the one before it, relative to a standard normal, and derivatives.
 
         Returns
         -------
         value : ndarray, shape (n, m)
-            One term per score: its density given the score before it.
+            One term per score in z (n, m).
         by_score : ndarray, shape (n, m)
             Derivatives of the summed terms with respect to z.
         by_time : ndarray, shape (n,)
@@ -244,7 +247,7 @@ class ScoresInTime:
         return {one.by for _, one in self._each} - {""}
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return log p(z) minus the log-density of independent scores in each test, and its derivatives.
+        """Return each test's score log-density, relative to independent normal scores, and its derivatives.
 
         Parameters
         ----------
