@@ -148,7 +148,7 @@ class BlackBoxModel:
         return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
-        """Return the function's results at theta (n, n_parameters), None where it fails; see `reasons`."""
+        """Return the function's results at theta (n, n_parameters), or None where it fails; see `reasons`."""
         return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
 
     @contextmanager

@@ -75,7 +75,10 @@ class RunsTable(TomlTable):
 
 
 class ExportsTable(ModelTable):
-    """Matrices exported at initial values and with each parameter changed; ``free = true`` if unsupported."""
+    """Matrices exported at initial values and with each parameter changed.
+
+    Set ``free = true`` if the structure is intentionally unsupported.
+    """
 
     type: Literal["exports"]
     exports: Annotated[list[ExportedTable], Field(max_length=MOST_EXPORTS)] = []

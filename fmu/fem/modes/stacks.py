@@ -31,7 +31,7 @@ def assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes of K φ = λ M φ where they are easily found; NaN where the general solver is needed.
+    """Return the lowest modes of K φ = λ M φ for matrices that are easily solved, with NaN for all others.
 
     The method is the same as in `fmu.fem.modes.eigensolver`, without its care for free structures, nearly singular
     K, and modes of very different frequencies.

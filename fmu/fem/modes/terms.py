@@ -79,7 +79,7 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite if a power is undefined or overflows.
+    """Return Π theta[:, j] ** powers[j], shape (n,), or NaN or infinity if a power is undefined or overflows.
 
     Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """
@@ -114,7 +114,7 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
-    """Return the sparse sum Σ weights[k] · K_k of the term matrices; not finite on overflow."""
+    """Return the sparse sum Σ weights[k] · K_k of the term matrices, which is not finite on overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -123,7 +123,7 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
 
 
 def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
-    """Return the sparse sum of `terms` at theta (n_parameters,); its entries are not finite on overflow."""
+    """Return the sparse sum of `terms` at theta (n_parameters,), with entries that are not finite on overflow."""
     return weighted_sum(terms, coefficients(terms, theta[None])[0])
 
 
@@ -176,7 +176,7 @@ class ParametricMatrix:
         return np.ravel_multi_index((rows, columns), self.terms[0].matrix.shape)
 
     def add_up(self, weights: FloatArray, dense: bool) -> Any:
-        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse; not finite on overflow."""
+        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse, which is not finite on overflow."""
         columns, pointers, parts = self._pattern
         data = np.zeros(len(columns))
         with np.errstate(over="ignore", invalid="ignore"):

@@ -208,9 +208,10 @@ class Correlation:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Indices of two sensors that appear to be swapped, since swapping them restores agreement; may be empty.
+        """Indices of two sensors that appear to be swapped, or an empty tuple if there are none.
 
-        They are sought separately because two bad sensors among few do not stand out from the median.
+        Swapping their measured values makes them agree with the model. They are sought separately because two bad
+        sensors among few do not stand out from the median.
         """
         worst = np.argsort(-self.ecomac, kind="stable")[:_TRIED].tolist()
         if not self._is_enough or self.ecomac[worst[0]] <= SUSPECT:

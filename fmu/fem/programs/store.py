@@ -108,7 +108,7 @@ class SolveStore:
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[None]:
-        """In a ``with`` block, hold the lock for theta, so that no other process solves it; wait for it first.
+        """In a ``with`` block, hold the lock on theta, waiting for it first, so that no other process solves it.
 
         theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. The operating system
         releases the lock of a process that dies.

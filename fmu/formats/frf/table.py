@@ -161,7 +161,10 @@ def _frequencies(rows: Sequence[Row], found: list[str]) -> FloatArray:
 
 
 def _column(rows: Sequence[Row], name: str, found: list[str]) -> FloatArray:
-    """Return a column as numbers (n_rows,), NaN for empty cells; append an error to `found` per invalid cell."""
+    """Return a column as numbers (n_rows,), with NaN for empty cells.
+
+    An error is appended to `found` for each invalid cell.
+    """
     column = np.empty(len(rows))
     for i, row in enumerate(rows):
         text = row.values[name]

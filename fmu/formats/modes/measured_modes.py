@@ -54,7 +54,7 @@ class ModesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Measured frequencies and, if known, mode shapes and standard deviations; arguments of `fmu.ModalData`.
+    """Measured frequencies and, if known, shapes and standard deviations, as `fmu.ModalData` takes them.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class ModesFormat:
 def modes_chosen(
     name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
 ) -> MeasuredModes:
-    """Select the computed modes with the given numbers; all modes if `modes` is None.
+    """Select the computed modes with the given numbers, or all modes if `modes` is None.
 
     Raises
     ------
