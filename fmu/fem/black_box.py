@@ -156,8 +156,7 @@ class BlackBoxModel:
         """In a ``with`` block, let an engine's workers call the function at several theta in parallel.
 
         Results and failures are the same as in the calling process, in the same order. A theta that crashes its
-        process three times counts as failed for that reason. A batched function gets all theta in one call and is
-        not distributed.
+        process three times counts as failed. A batched function gets all theta in one call and is not distributed.
 
         Parameters
         ----------

@@ -33,7 +33,7 @@ class FRFCertificate:
     Attributes
     ----------
     draws : int
-        Number of draws at which the FRFs were compared with FRFs on an enlarged basis, at every frequency line.
+        Number of draws at which the FRFs were compared with FRFs from an enlarged basis, at every frequency line.
     shift : float
         Largest distance by which the FRF errors move the posterior, in posterior standard deviations, to first
         order and in the direction in which it moves most.

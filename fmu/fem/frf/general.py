@@ -26,7 +26,7 @@ _AGREES = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class GeneralDamping:
-    """Loss factors of stiffness terms, dashpots, and Rayleigh damping, on a reduced basis.
+    """Loss factors of stiffness terms, dashpots, and Rayleigh damping, projected onto a reduced basis.
 
     Attributes
     ----------

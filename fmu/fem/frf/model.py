@@ -1,4 +1,4 @@
-"""FRFs of a structure given by its matrices, computed on a reduced basis that is accurate in a parameter box."""
+"""FRFs of a structure given by its matrices, computed with a reduced basis that is accurate in a parameter box."""
 
 from __future__ import annotations
 
@@ -84,9 +84,9 @@ class FRFModel:
     responses, drives : ndarray of int, shape (n_frfs,)
         Points of each FRF, as rows of `rows`.
     of_block : ProportionalDamping or GeneralDamping
-        The damping on the basis of `block`.
+        The damping projected onto the basis of `block`.
     points : ndarray, shape (n_points, block.size)
-        The drives and responses on the basis.
+        The drives and responses projected onto this basis.
     error : float
         Largest error at points that were not used for the basis: the root of the sum of squared errors at all
         lines, each in its unit. NaN if the basis has all degrees of freedom.
@@ -174,7 +174,7 @@ class FRFModel:
         return self._respond(self.block, self.of_block, self.points, theta, values)
 
     def on(self, block: ReducedBlock) -> FRFModel:
-        """Return the same model on another reduced block."""
+        """Return a copy of the model that uses another reduced block."""
         other = copy(self)
         other.block, other.of_block, other.points = block, self._damping_of(block), self._at_points(block)
         return other

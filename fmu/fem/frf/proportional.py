@@ -178,7 +178,7 @@ class ProportionalDamping:
 
 
 class ModalResponses:
-    """FRFs on one reduced block of a structure at n parameter vectors, with their derivatives.
+    """FRFs from one reduced block of a structure at n parameter vectors, with their derivatives.
 
     Parameters
     ----------

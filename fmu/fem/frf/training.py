@@ -124,8 +124,8 @@ def train(
 
     Notes
     -----
-    At each point, the receptances on the basis are compared with receptances on the basis enlarged by the modes
-    and responses of that point. Training ends when `_PASSES` points in succession agree, or after `_MOST_POINTS`.
+    At each point, the receptances from the basis are compared with receptances from a basis enlarged by this
+    point's modes and responses. Training ends when `_PASSES` points in succession agree, or after `_MOST_POINTS`.
     The basis is then truncated to as few leading directions as the errors at these and further points allow.
     """
     centre = 0.5 * (lower + upper)

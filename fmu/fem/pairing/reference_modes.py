@@ -1,4 +1,4 @@
-"""Reference shapes for pairing, computed with the model before updating, and its number of rigid-body modes."""
+"""Reference shapes for pairing, computed with the model before updating, and the rigid-body mode count."""
 
 from __future__ import annotations
 

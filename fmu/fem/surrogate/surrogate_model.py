@@ -221,7 +221,7 @@ def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> An
 
 
 def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | None, search: bool) -> list[Process]:
-    """Fit quantities y (N, q) at x by a single process, or by one process per quantity, and return a list.
+    """Fit y (N, q) at x with one process for all q quantities or one each; return the processes in a list.
 
     A few points can determine common length scales, but not separate ones for every quantity. Separate processes
     are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
