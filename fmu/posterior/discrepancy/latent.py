@@ -155,7 +155,9 @@ class LatentErrors:
         return z, w, of_z - of_both @ np.swapaxes(gain, 2, 3), of_both, of_w
 
     def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the distribution of z given the residuals and w; it is valid at the last row of each group.
+        """Return the distribution of a group's own errors z, given its residuals and the common errors w.
+
+        It is valid at the last row of each group.
 
         Returns
         -------
@@ -261,7 +263,7 @@ class LatentErrors:
         return found
 
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
-        """Integrate w out of the sums (n, m, 1 + C, 1 + C); return the quadratic form of r, shape (n, m).
+        """Integrate the common errors w out of the sums (n, m, 1 + C, 1 + C); return r's quadratic form (n, m).
 
         Log det is added to it if `with_log_det` is True.
         """

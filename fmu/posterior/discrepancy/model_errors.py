@@ -273,7 +273,7 @@ def _sum_of_pairs(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[Float
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ∂V/∂noise / V for all residuals of the modes, (n, m, k, n_noise), and each residual's weight (k,)."""
+    """Return relative variance derivatives ∂V/∂noise / V, (n, m, k, n_noise), and residuals' weights (k,)."""
     parts, shares = [], []
     for term in terms:
         q, V = len(term.labels([""])), term.spread.variance(noise)

@@ -103,7 +103,7 @@ def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple
 
 
 def _correction(part: Evaluated, residuals: Residuals, seen: Any) -> FloatArray:
-    """Return the correction log E[exp t] − t, shape (n, n_modes)."""
+    """Return the correction log E[exp t] − t of each mode's log-density t, shape (n, n_modes)."""
     total = np.zeros_like(part.terms)
     if part.by_frequency is not None and residuals.by_frequency is not None:
         h = np.sum(residuals.by_frequency**2, axis=2)

@@ -99,7 +99,10 @@ class SpikeAndSlab(InvertedPrior):
         return {"distribution": "spike-and-slab", **own}
 
     def _logit_cdf(self, z: FloatArray) -> FloatArray:
-        """Return log(F/(1 − F)) at mean + z, without loss of digits in either tail."""
+        """Return the log-odds log(F/(1 − F)) of the distribution function F at mean + z.
+
+        It loses no digits in either tail.
+        """
         weights = np.log([1.0 - self.share, self.share])
         below, above = (
             np.logaddexp(weights[0] + log_ndtr(s * z / self.spike), weights[1] + log_ndtr(s * z / self.sd))
