@@ -150,7 +150,7 @@ def _column(noise: FloatArray, k: int, ndim: int) -> FloatArray:
 
 
 def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
-    """Return the trust β in every mode's data, shape (n_modes,); raise ValueError if a β is not positive and finite."""
+    """Return the trust β in each mode's data, (n_modes,); raise ValueError unless all are positive and finite."""
     array = np.array(beta, dtype=float)
     if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
         raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")
