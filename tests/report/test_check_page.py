@@ -13,6 +13,8 @@ from fmu.report.check_page import check_page, write_check
 from tests.linear import LinearModel
 from tests.report.parsed import Parsed
 
+pytestmark = pytest.mark.usefixtures("quick_figures")
+
 HOSTILE = "<script>alert('x')</script>"
 
 

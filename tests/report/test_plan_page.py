@@ -11,6 +11,8 @@ import fmu
 from fmu.cli import main
 from fmu.formats.modes.uff import write_test_geometry
 
+pytestmark = pytest.mark.usefixtures("quick_figures")
+
 FILE = """
 name = "portal"
 

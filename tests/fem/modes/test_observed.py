@@ -65,7 +65,7 @@ def check_derivatives(structure):
     here = structure.observed(theta, gradient=True)
 
     def shapes(theta):
-        return aligned(structure.observed(theta).shapes, here.shapes)
+        return aligned(structure.observed(theta).shapes, np.tile(here.shapes, (len(theta) // 3, 1, 1)))
 
     slopes = differences(shapes, theta, 1e-3 * START, order=4)
     slopes_hz = differences(lambda theta: structure.observed(theta).frequencies, theta, 1e-3 * START, order=4)

@@ -67,7 +67,8 @@ def test_slopes_against_differences(group, sizes):
 
         def terms(x, name=name, shape=value.shape):
             parts = {key: getattr(errors, key) for key in ("residuals", "loads", "common", "group")}
-            return LatentErrors(**parts | {name: x.reshape(-1, *shape[1:])}).terms().sum(axis=1)
+            moved = [LatentErrors(**parts | {name: one}) for one in x.reshape(-1, *shape)]
+            return np.concatenate([one.terms().sum(axis=1) for one in moved])
 
         flat = value.reshape(3, -1)
         step = 1e-3 * np.maximum(np.abs(flat), 0.1)

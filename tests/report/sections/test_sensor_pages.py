@@ -12,6 +12,8 @@ from fmu.report.run import runs_of
 from fmu.report.sections.sensors import sensors
 from tests.shear_building import frequencies_hz, shear_building
 
+pytestmark = pytest.mark.usefixtures("quick_figures")
+
 FLOORS, WRONG = 10, 6
 DEGREES = tuple((f"f{j}", "x") for j in range(1, FLOORS + 1))
 
@@ -45,12 +47,13 @@ def verdict(found):
 
 def test_the_verdict_turns_with_one_wrong_sensor():
     good, bad = (fmu.check(building(change), draws=10) for change in (None, reversed_sensor))
-    assert (verdict(good).answer, verdict(good).is_good, verdict(good).reasons) == ("Yes", True, ())
-    assert (verdict(bad).answer, verdict(bad).is_good) == ("1 warning", False)
-    assert verdict(bad).reasons[0].startswith(f"Sensor f{WRONG + 1} x: test and model disagree")
+    of_good, of_bad = verdict(good), verdict(bad)
+    assert (of_good.answer, of_good.is_good, of_good.reasons) == ("Yes", True, ())
+    assert (of_bad.answer, of_bad.is_good) == ("1 warning", False)
+    assert of_bad.reasons[0].startswith(f"Sensor f{WRONG + 1} x: test and model disagree")
     assert bad.sensor_table().sensor[0] == f"f{WRONG + 1} x"
-    assert verdict(bad).reasons[0] in bad.doubts
-    assert not set(good.doubts) & set(verdict(bad).reasons)
+    assert of_bad.reasons[0] in bad.doubts
+    assert not set(good.doubts) & set(of_bad.reasons)
 
 
 def test_a_sensor_put_at_another_floor_is_named_first():
