@@ -133,7 +133,7 @@ class RefinedFactor:
 
 
 def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
-    """Return A⁻¹ b (n, m) for b (n, m) and a positive definite A, iterating each column by itself.
+    """Return A⁻¹ b (n, m) for b (n, m) and a positive definite A, iterating each column separately.
 
     Raises
     ------

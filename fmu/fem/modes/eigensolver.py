@@ -57,8 +57,8 @@ class SingularMassError(ValueError):
 def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
     """Factorise a matrix A scaled by `unit_diagonal`; return None unless it is clearly positive definite.
 
-    Explicit zeros in a large matrix are removed first: its factors are stored and reused, and no bit of them may
-    depend on how the matrix was summed.
+    Explicit zeros in a large matrix are removed first: its factors are stored and reused, so they must not depend
+    on how the matrix was summed.
     """
     if sp.issparse(S) and S.shape[0] >= LARGE:
         S = sp.csr_array(S, copy=True)

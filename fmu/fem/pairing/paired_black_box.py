@@ -27,7 +27,7 @@ class PairedBlackBox(ModalModel):
     ----------
     black_box : BlackBoxModel
     answer : Answer
-        Function result at the starting point, which shows what the function returns.
+        Function result at the starting point, which shows which arrays the function returns.
     pairing : {"shape", "index"}
         ``"shape"``: one to one by MAC, if shapes were measured and the function returns shapes; otherwise, and
         with ``"index"``, by number.

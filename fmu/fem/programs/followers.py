@@ -40,7 +40,7 @@ def follower_motions(
     dofs : collection of (node, direction)
         The free degrees of freedom that are not followers.
     step : float, s
-        The time step Δt, for which K and 4 M/Δt² are of like size.
+        The time step Δt, for which K and 4 M/Δt² are of similar size.
 
     Returns
     -------

@@ -165,7 +165,7 @@ class Learner:
         """Add as many principal directions of the corrections C (n_dof, m) to the space as the errors require.
 
         The remaining energy of each correction is then at most its `target` (m,) or the fraction `_STEP` of its
-        own energy, unless the space is full before.
+        own energy, unless the space becomes full first.
         """
         gram = C.T @ (self.anchors.first @ C)
         energy, U = np.linalg.eigh(0.5 * (gram + gram.T))

@@ -1,4 +1,4 @@
-"""Gaussian processes with a linear trend, fitted by scikit-learn; results are independent of the batch to the bit.
+"""Gaussian processes with a linear trend, fitted by scikit-learn; no bit of a result depends on the batch.
 
 With x the `Coordinates` of theta, the prior of a quantity y, scaled to zero mean and unit variance, has the
 covariance

@@ -1,7 +1,7 @@
 """Applies a mesh's constraints to matrices, and expresses the motions of dependent degrees of freedom.
 
 Some programs write K and M for all degrees of freedom, others Tᵀ K T and Tᵀ M T for the independent ones. The rows
-show which: if a dependent degree of freedom has a nonzero row, T has yet to be applied.
+show which: if a dependent degree of freedom has a nonzero row, T has not been applied yet.
 """
 
 from __future__ import annotations
