@@ -23,6 +23,8 @@ from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.reduction.tolerance import MEASURED, Tolerance
 from fmu.types import BoolArray, Chain, ComplexArray, FloatArray, Plain
 
+_LEAST_NOISE = 1e-150
+
 
 class Posterior:
     """The posterior of eq. (8) as a density of theta.
@@ -61,9 +63,10 @@ class Posterior:
         return other
 
     def with_likelihood(self, likelihood: Likelihood) -> Self:
-        """Return the same problem with another likelihood, which has the same parameters."""
+        """Return the same problem with another likelihood, whose `noise` may differ."""
         other = copy(self)
         other.likelihood, other._failed = likelihood, FailureRecord()
+        other._take_parameters()
         return other
 
     def log_prob(self, theta: ArrayLike) -> Any:
@@ -313,6 +316,27 @@ class Posterior:
         other = copy(self)
         other.layout, other.prior, other._failed = layout, self._prior_of(layout), FailureRecord()
         return other
+
+    def _take_parameters(self) -> None:
+        """Set the attributes that follow from the parameters of the layout and the noise of the likelihood."""
+        self.parameters = (*self.layout.parameters, *self.likelihood.noise)
+        self.ndim = len(self.parameters)
+        self.names = tuple(p.name for p in self.parameters)
+        self.units = tuple(p.unit for p in self.parameters)
+        self.lower = np.array([p.lower for p in self.parameters], dtype=float)
+        self.upper = np.array([p.upper for p in self.parameters], dtype=float)
+        # rows of shape (1, ndim), so that NumPy need not broadcast for a single theta; a bound at which the prior
+        # vanishes is excluded
+        self._lowest = np.array([[p.lowest for p in self.parameters]])
+        self._highest = np.array([[p.highest for p in self.parameters]])
+        # errors with a standard deviation of zero have no density, and its square must not underflow
+        noise = self._lowest[:, self.n_structural :]
+        noise[noise == 0.0] = _LEAST_NOISE
+        self.start = np.array([p.start for p in self.parameters], dtype=float)
+        scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
+        self.offset = np.array([offset for offset, _ in scales])
+        self.scale = np.array([scale for _, scale in scales])
+        self.prior = self._prior_of(self.layout)
 
     def _prior_of(self, layout: Layout) -> JointPrior:
         return JointPrior(self.parameters, layout if layout.scales else None)

@@ -31,8 +31,6 @@ from fmu.posterior.rounding import require_digits
 from fmu.progress.phases import phase
 from fmu.types import FloatArray, Positive
 
-_LEAST_NOISE = 1e-150
-
 
 class UpdatingProblem(Posterior):
     """The posterior of eq. (8): a model, a measurement and the parameters' priors.
@@ -143,26 +141,9 @@ class UpdatingProblem(Posterior):
         self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy, self.layout)
         if self.likelihood.used is not None and not len(self.likelihood.used):
             self.data = replace(data, use=(False,) * data.n_modes)  # other data determine the parameters
-        self.parameters = (*self.layout.parameters, *self.likelihood.noise)
-        check_names(self.parameters)
-        self.ndim = len(self.parameters)
-        self.names = tuple(p.name for p in self.parameters)
-        self.units = tuple(p.unit for p in self.parameters)
-        self.lower = np.array([p.lower for p in self.parameters], dtype=float)
-        self.upper = np.array([p.upper for p in self.parameters], dtype=float)
-        # rows of shape (1, ndim), so that NumPy need not broadcast for a single theta; a bound at which the prior
-        # vanishes is excluded
-        self._lowest = np.array([[p.lowest for p in self.parameters]])
-        self._highest = np.array([[p.highest for p in self.parameters]])
-        # errors with a standard deviation of zero have no density, and its square must not underflow
-        noise = self._lowest[:, self.n_structural :]
-        noise[noise == 0.0] = _LEAST_NOISE
-        self.start = np.array([p.start for p in self.parameters], dtype=float)
-        scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
-        self.offset = np.array([offset for offset, _ in scales])
-        self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
-        self.prior = self._prior_of(self.layout)
+        self._take_parameters()
+        check_names(self.parameters)
         require_digits(self)
 
     @classmethod

@@ -193,14 +193,10 @@ def default_sampler(problem: LogDensity) -> str:
     """Return the name of the default sampler for a problem.
 
     For a hierarchical posterior it is ``"gibbs"``, because each test adds parameters, too many to fit a mixture.
-    With a discrepancy, which couples the tests, it is ``"hmc"``.
     """
     from fmu.analysis.maxima.search import is_searchable
-    from fmu.analysis.trace.densities import is_updating
 
-    if is_searchable(problem):
-        return DEFAULT_SAMPLER
-    return "hmc" if is_updating(problem) and problem.likelihood.has_discrepancy else "gibbs"
+    return DEFAULT_SAMPLER if is_searchable(problem) else "gibbs"
 
 
 DEFAULTS: Mapping[str, Any] = {

@@ -66,9 +66,9 @@ def choose_starts(
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
-        For a hierarchical posterior, "maxima" means its typical point, or the prior if the model has a
-        discrepancy. For another density without `maxima`, it means the prior. If there is no prior, or the density
-        is not finite at some of its draws, it means scattered points.
+        For a hierarchical posterior, "maxima" means its typical point. For another density without `maxima`, it
+        means the prior. If there is no prior, or the density is not finite at some of its draws, it means
+        scattered points.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -86,8 +86,6 @@ def choose_starts(
         if plain.has_prior and _is_finite_in_prior(plain, seed):
             return Starts("prior", "prior", "prior")
         theta, origin = _scatter_starts(plain, chains * walkers, seed), {"maxima": "scattered"}
-    elif cast("UpdatingProblem", density).likelihood.has_discrepancy:
-        return Starts("prior", "prior", "prior")  # no typical point: a discrepancy couples the tests
     else:
         from fmu.posterior.joint.conditional.both import scatter_about_typical
 

@@ -1,4 +1,7 @@
-"""Evaluate quantities at posterior draws, once for equal draws: a rejected step repeats the last draw."""
+"""Evaluate quantities at posterior draws, once for equal draws: a rejected step repeats the last draw.
+
+Draws of model errors are here too.
+"""
 
 from __future__ import annotations
 
@@ -30,3 +33,14 @@ def at_distinct_rows(
     distinct, index = distinct_rows(theta)
     parts = by_parts("predictions", function, distinct)
     return tuple(np.concatenate(part)[index] for part in zip(*parts, strict=True))
+
+
+def errors_from_normal(z: FloatArray, w: FloatArray, given: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return errors z, (n, m, P), and w, (n, C), given the data, from standard normal numbers of these shapes.
+
+    `given` is what `DiscrepantLikelihood.errors_given_data` returns.
+    """
+    mean, gain, covariance, mean_w, of_w = given
+    w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)
+    z = mean + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
+    return z - np.einsum("nmpc,nc->nmp", gain, w), w

@@ -103,6 +103,24 @@ class LatentErrors:
         so_far = self._integrate_common(np.cumsum(quadratic, axis=1))
         return np.asarray(0.5 * (squares - log_det) - 0.5 * np.diff(so_far, axis=1, prepend=0.0))
 
+    def terms_given_others(self) -> FloatArray:
+        """Return the log-density of each row given all other rows, relative to independent residuals, (n, m).
+
+        With the row's block Q of S⁻¹ and part g of S⁻¹r, it is ½ (|r|² − gᵀQ⁻¹g + log det Q).
+        """
+        z, w, of_z, of_both, of_w = self.given_residuals()
+        F = np.concatenate([self.loads, self.common], axis=3)
+        n, m, k, _ = F.shape
+        mean = np.concatenate([z[:, self.last], np.broadcast_to(w[:, None], (n, m, w.shape[1]))], axis=2)
+        own, both = of_z[:, self.last], of_both[:, self.last]
+        of_w = np.broadcast_to(of_w[:, None], (n, m, *of_w.shape[1:]))
+        covariance = np.block([[own, both], [np.swapaxes(both, 2, 3), of_w]])
+        g = self.residuals - np.einsum("nmkf,nmf->nmk", F, mean)
+        Q = np.eye(k) - F @ covariance @ np.swapaxes(F, 2, 3)
+        square = np.einsum("nmk,nmk->nm", g, _solve(Q, g[..., None])[..., 0])
+        squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
+        return np.asarray(0.5 * (squares - square + np.linalg.slogdet(Q)[1]))
+
     def squares(self) -> FloatArray:
         """Return each row's squared residuals given the rows before it, in standard deviations, (n, m)."""
         quadratic = self._grown(self._groups.quadratic)
@@ -250,8 +268,9 @@ class LatentErrors:
         if not len(self._later):
             return x
         total = x.copy()
-        for i in self._later:
-            total[:, i] += total[:, self._before[i]]
+        for g in np.unique(self.group[self._later]):
+            rows = np.flatnonzero(self.group == g)
+            total[:, rows] = np.cumsum(x[:, rows], axis=1)
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
@@ -271,6 +290,42 @@ class LatentErrors:
         right = so_far[..., 1:, :1]
         found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ _solve(N, right))[..., 0, 0]
         return np.asarray(found + np.linalg.slogdet(N)[1] if with_log_det else found)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownErrors(LatentErrors):
+    """The residuals of m rows whose latent errors are known: the rows are independent.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n, m, P)
+        The errors of the group of each row.
+    w : ndarray, shape (n, C)
+    """
+
+    z: FloatArray
+    w: FloatArray
+
+    @property
+    def fitted(self) -> FloatArray:
+        """The part of the residuals that the latent errors explain, A z + a w, shape (n, m, k)."""
+        own = np.einsum("nmkp,nmp->nmk", self.loads, self.z)
+        return own + np.einsum("nmkc,nc->nmk", self.common, self.w)
+
+    def terms(self) -> FloatArray:
+        """Return log N(r; A z + a w, I) − log N(r; 0, I) of each row, shape (n, m)."""
+        fitted = self.fitted
+        return np.einsum("nmk,nmk->nm", fitted, self.residuals - 0.5 * fitted)
+
+    def slopes(self) -> Slopes:
+        """Return the derivatives of the sum of `terms`."""
+        fitted = self.fitted
+        error = (self.residuals - fitted)[..., None]
+        return Slopes(fitted, error * self.z[:, :, None], error * self.w[:, None, None])
+
+    def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return r − A z − a w, shape (n, m, k), and the derivatives of r unchanged."""
+        return self.residuals - self.fitted, slopes
 
 
 def _half_root(gram: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.curvature import by_parameters, by_second_derivatives
-from fmu.posterior.discrepancy.draws import at_distinct_rows
+from fmu.posterior.discrepancy.draws import at_distinct_rows, errors_from_normal
 from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter, require_distinct_names
 from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
@@ -194,10 +194,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         """Return the log-density of each datum given all others, (n, n_terms), at theta (n, ndim)."""
         seen = self.observed(theta)
         found = self.terms_of_observed(seen, theta)
-        total = found.sum(axis=1)
-        for i in range(len(self._used) if self.couples_modes else 0):
-            others = self.using(np.delete(self._used, i))
-            found[:, i] = total - others.terms_of_observed(seen, theta).sum(axis=1)
+        if self.couples_modes:
+            with np.errstate(all="ignore"):
+                latent = self._latent(self._linearise(seen, theta), theta)
+                found[:, : len(self._used)] += latent.terms_given_others() - latent.terms()
         return found
 
     def error_given_others(
@@ -253,10 +253,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         z = rng.standard_normal((len(theta), len(self.group), own.shape[2]))[:, self.group]
         w = rng.standard_normal((len(theta), common.shape[2]))
         if given_data:
-            mean, gain, covariance, mean_w, of_w = given
-            w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)
-            z = mean + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
-            z -= np.einsum("nmpc,nc->nmp", gain, w)
+            z, w = errors_from_normal(z, w, given)
         return np.asarray(frequencies - np.sum(own * z, axis=2) - np.einsum("nmc,nc->nm", common, w))
 
     def as_dict(self) -> dict[str, Plain]:

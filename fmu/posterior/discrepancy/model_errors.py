@@ -193,7 +193,7 @@ class ModelErrors:
         """Build the `LatentErrors` for the residuals in `rows`; `values` (n, m, p) are each row's parameters."""
         loads, shared = (
             unit * np.sqrt(variance)[:, None, None]
-            for unit, variance in zip(self._units(rows, values), self.variances(noise), strict=True)
+            for unit, variance in zip(self.units(rows, values), self.variances(noise), strict=True)
         )
         return LatentErrors(rows.residuals, loads, shared, group)
 
@@ -221,7 +221,7 @@ class ModelErrors:
             by_value = np.where(relative, by_log / np.where(relative, values, 1.0), 0.0)
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
-    def _units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals that unit errors cause: a mode's own, (n, m, k, P), and common, (n, m, k, C)."""
         if not len(self.scattered):
             return rows.own, rows.common

@@ -34,15 +34,22 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
     where the populations are far too wide or too narrow. At the typical point, the populations' means, standard
     deviations and correlations approximately maximise the posterior after each test's own values are integrated
     out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39,
-    1–38). All other parameters have their most probable values given these.
+    1–38). All other parameters have their most probable values given these. A discrepancy of the model is left
+    out, and the sizes of its errors are those at which the problem starts.
 
     Parameters
     ----------
     problem : UpdatingProblem
         A problem with at least one population.
     """
-    plain = problem.with_layout(problem.layout.remove_centring())
+    plain, likelihood = problem.with_layout(problem.layout.remove_centring()), problem.likelihood
+    if likelihood.has_discrepancy:  # couples the tests
+        plain = plain.with_likelihood(likelihood.easier()[0])
     theta = problem.layout.restore_scores(_search(plain)[0][None])[0]
+    if likelihood.has_discrepancy:  # without it, the sizes of the model's errors have no effect
+        sizes = {d for term in likelihood.terms_of for d in term.spread.sizes}
+        others = problem.n_structural + np.setdiff1d(np.arange(len(likelihood.noise)), list(sizes))
+        theta[others] = problem.start[others]
     return ScaledDensity(problem).to_scaled(theta)
 
 

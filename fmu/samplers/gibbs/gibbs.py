@@ -19,6 +19,9 @@ their scores, and then the share of outliers. The rest of the step is conditiona
 5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
    for once more.
 
+Where the model has errors of its own, which are common to all tests, steps 1 to 4 are conditional on these errors,
+and step 5 is a part of `fmu.samplers.gibbs.errors_of_model`.
+
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
 2, chosen at random, are random-walk steps of random size instead. They bring back a test whose scores are in a
@@ -36,8 +39,7 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.box import find_inside
-from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.discrepancy.given_errors import with_errors_as_parameters
 from fmu.posterior.joint.conditional.both import conditionals
 from fmu.posterior.joint.conditional.in_time import move_in_time
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear
@@ -45,7 +47,7 @@ from fmu.posterior.joint.varies.base import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity, scaled_density
 from fmu.samplers.adaptation import DualAveraging
-from fmu.samplers.gibbs.main_parameters import MovesOfMain
+from fmu.samplers.gibbs.errors_of_model import MovesWithErrors
 from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.local import accept
 from fmu.samplers.settings import positive_number
@@ -54,9 +56,6 @@ from fmu.types import BoolArray, FloatArray, IntArray, LogDensity, Positive
 
 _FIRST_STEP = 0.5
 _ACCEPT = 0.8
-_NOISE_STEPS, _NOISE_SIZE = 4, 2.0
-"""Number of random-walk steps for each error standard deviation, and their size in standard deviations of its
-logarithm at the typical point."""
 _NU = 5.0
 """Degrees of freedom of the Student distributions from which the other score proposals are drawn."""
 _WALKS = 0.35
@@ -95,19 +94,17 @@ class GibbsSampler(Sampler):
             object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
 
     def bind(self, density: LogDensity) -> GibbsKernel:
-        """Return the kernel; raise ValueError if `density` has no populations over tests, or has a discrepancy."""
+        """Return the kernel; raise ValueError if `density` has no populations over tests."""
         scaled = scaled_density(density)
         problem = scaled.density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
-        if problem.likelihood.has_discrepancy:
-            raise ValueError(
-                "problem: must have no discrepancy for Gibbs sampling, as it couples the tests; use hmc (got one)"
-            )
         found = conditionals(problem)
         metric = Metric.of(found.normal.covariance, len(found.normal.mean))
         step_size = np.asarray(_FIRST_STEP if self.step_size is None else self.step_size)
-        return GibbsKernel(problem, found, metric, step_size, scaled)
+        collapsed = problem.with_layout(problem.layout.remove_centring())
+        given = with_errors_as_parameters(problem)
+        return GibbsKernel(given, found, metric, step_size, collapsed, scaled, problem)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:
         """Return a tuner that learns the step size during warm-up, or None if `step_size` is given."""
@@ -115,27 +112,35 @@ class GibbsSampler(Sampler):
 
 
 @dataclass(frozen=True)
-class GibbsKernel(MovesOfMain):
+class GibbsKernel(MovesWithErrors):
     """Kernel of the Gibbs sampler; the module docstring describes its steps.
 
     Attributes
     ----------
     scaled : ScaledDensity
+    whole : UpdatingProblem
+        The problem that is sampled, without the errors of the model as parameters.
     """
 
     scaled: ScaledDensity
+    whole: UpdatingProblem
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation."""
         theta = self.scaled.to_theta(positions)
+        ones, none = np.ones(len(positions), dtype=np.int64), np.zeros(len(positions), dtype=np.int64)
+        if self.has_errors:
+            log_prob, extra = np.asarray(self.whole.log_prob(theta)), self.likeliest_errors(theta)
+            return State(positions, log_prob, extra=extra), Info(none > 0, log_prob, 3 * ones, none)
         terms = self.problem.terms_of_tests(theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
-        ones, none = np.ones(len(positions), dtype=np.int64), np.zeros(len(positions), dtype=np.int64)
         return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters together with the scores, then the scores alone, then the populations."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
+        if self.has_errors:
+            theta = np.concatenate([theta, state.extra["errors"]], axis=1)
         theta, scales = self._draw_scales(rng, theta)
         theta, terms, of_dates = self.move_dates(rng, theta, state.extra["terms"], scales)
         theta, terms, linear, extra = self.move_main(rng, theta, terms, scales)
@@ -145,16 +150,20 @@ class GibbsKernel(MovesOfMain):
         if populations.n_blocks:
             found = populations.propose(rng, theta)
             theta = populations.move(theta, found, accept(rng, found.log_ratio))
-        if len(self.conditionals.noise):
-            theta, terms = self._move_noise(rng, theta, terms)
-            solves += 1
+        kept = {"terms": terms}
+        if self.has_errors:
+            theta, terms, kept, shifted = self.move_with_errors(rng, theta, terms)
+            extra, solves = {**extra, "main_shifted": shifted}, solves + self.solves_with_errors
+        elif len(self.conditionals.noise):
+            at = self.collapsed.layout.of_model(theta)
+            theta, terms = self.move_noise(rng, theta, at, self.modal.observed(at), terms)
+            kept, solves = {"terms": terms}, solves + 1
         theta = self.problem.layout.restore_scores(theta)
-        log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
+        log_prob = terms.sum(axis=1) + self.whole.log_prior(theta)
         info = Info(
             moved > 0.0, log_prob, solves, np.zeros_like(solves), {"acceptance_rate": moved, **extra, **of_dates}
         )
-        position = self.scaled.to_scaled(theta)
-        return State(position, log_prob, extra={"terms": terms}), info
+        return State(self.scaled.to_scaled(theta), log_prob, extra=kept), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Draw the outliers among the tests, and their fraction; return theta, and the scores' prior sds.
@@ -230,32 +239,6 @@ class GibbsKernel(MovesOfMain):
         in_time = self.problem.layout.in_time
         assert in_time is not None
         return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
-
-    def _move_noise(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Move the error standard deviations; return theta, and the log-likelihood terms (chains, n_terms).
-
-        Each in turn takes a random walk on the logarithmic scale. The predicted modes do not change.
-        """
-        problem = self.problem
-        likelihood, first = problem.likelihood, problem.n_structural
-        assert isinstance(likelihood, ModalLikelihood)  # of several tests
-        at = self.conditionals.scores.layout.of_model(theta)
-        seen, begin = likelihood.observed(at), at.shape[1] - len(self.conditionals.noise)
-        prior = self.conditionals.noise_prior
-        for k in np.tile(np.arange(len(self.conditionals.noise)), _NOISE_STEPS):
-            step = _NOISE_SIZE * self.conditionals.noise[k] * rng.standard_normal(len(theta))
-            candidate = at.copy()
-            candidate[:, begin + k] *= np.exp(step)
-            s, new = at[:, begin:], candidate[:, begin:]
-            new_terms = likelihood.terms_of_observed(seen, candidate)
-            with np.errstate(invalid="ignore"):
-                ratio = (new_terms - terms).sum(axis=1) + prior.log_pdf(new) - prior.log_pdf(s) + step
-            inside = find_inside(new, problem.lower[first:], problem.upper[first:])[0]
-            moved = (inside & accept(rng, ratio))[:, None]
-            at, terms = np.where(moved, candidate, at), np.where(moved, new_terms, terms)
-        return np.concatenate([theta[:, :first], at[:, begin:]], axis=1), terms
 
 
 class GibbsTuner:

@@ -153,11 +153,8 @@ def test_rows_of_a_batch_are_those_of_single_points():
     assert [problem.log_prob(one) for one in theta] == problem.log_prob(theta).tolist()
 
 
-def test_gibbs_sampling_is_refused_and_hmc_is_the_default():
-    problem = posed("population")
-    with pytest.raises(ValueError, match="must have no discrepancy for Gibbs sampling"):
-        fmu.GibbsSampler().bind(problem)
-    assert default_sampler(problem) == "hmc"
+def test_gibbs_sampling_is_the_default_for_populations():
+    assert default_sampler(posed("population")) == "gibbs"
 
 
 def test_a_further_test_has_the_error_that_the_data_show():

@@ -49,6 +49,21 @@ def test_a_term_is_the_density_given_the_rows_before(group, sizes):
 
 
 @pytest.mark.parametrize(("group", "sizes"), CASES)
+def test_terms_given_all_other_rows(group, sizes):
+    errors = errors_of(group, sizes)
+    m, k = len(errors.group), errors.residuals.shape[2]
+    for i in range(3):
+        r, S = errors.residuals[i].ravel(), covariance(errors, i)
+        whole = stats.multivariate_normal.logpdf(r, cov=S)
+        for row in range(m):
+            here = np.arange(row * k, (row + 1) * k)
+            others = np.delete(np.arange(m * k), here)
+            rest = stats.multivariate_normal.logpdf(r[others], cov=S[np.ix_(others, others)])
+            expected = whole - rest - np.sum(stats.norm.logpdf(r[here]))
+            assert_allclose(errors.terms_given_others()[i, row], expected, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize(("group", "sizes"), CASES)
 def test_squares_sum_to_the_quadratic_form(group, sizes):
     errors = errors_of(group, sizes)
     for i in range(3):

@@ -8,6 +8,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from fmu.box import find_inside
+from fmu.posterior.ascent import GaussNewton
+from fmu.posterior.discrepancy.given_errors import LikelihoodGivenErrors, with_errors_as_parameters
 from fmu.posterior.joint.blocks import BlockForm
 from fmu.posterior.joint.conditional.bend import find_bend
 from fmu.posterior.joint.conditional.dates import DateOfEvent, undated_events
@@ -46,13 +48,17 @@ class Conditionals(NamedTuple):
         The normal distribution closest to `marginal`.
     noise : ndarray, shape (n_noise,)
         Relative posterior standard deviations of the inferred error sds, at most one.
+    by_errors : ndarray, shape (d, n_errors)
+        Changes of the main parameters that make up for model errors of unit size, at fixed scores.
+    sizes : ndarray, shape (n_errors,)
+        Standard deviations of the model errors at the typical point.
     noise_prior : JointPrior
         Prior of the error sds.
     populations : PopulationsGivenValues
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
-        The typical point, with standard normal scores.
+        The typical point, with standard normal scores, and with the errors of the model if it has any.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
         Prior standard deviations of the scores at the typical point; they differ from 1 for outliers only.
     """
@@ -61,6 +67,8 @@ class Conditionals(NamedTuple):
     marginal: MarginalOfMain
     normal: FittedNormal
     noise: FloatArray
+    by_errors: FloatArray
+    sizes: FloatArray
     noise_prior: JointPrior
     populations: PopulationsGivenValues
     events: tuple[DateOfEvent, ...]
@@ -99,6 +107,7 @@ def scatter_about_typical(
     step = dispersion * rng.standard_normal((n, len(known.normal.mean))) @ known.normal.factor.T
     of_scores = dispersion * rng.standard_normal((n, *given.scores.scored.shape))
     of_noise = dispersion * known.noise * rng.standard_normal((n, len(known.noise)))
+    of_errors = dispersion * known.sizes * rng.standard_normal((n, len(known.sizes)))
     share, found = np.ones((n, 1)), problem.layout.restore_scores(centre)
     middle, d = marginal.coordinates(centre), len(known.normal.mean)
     highest = marginal.log_prob_and_grad(middle, centre, known.scales)[0]
@@ -108,27 +117,32 @@ def scatter_about_typical(
         low, high = marginal.lower, marginal.upper
         w = reflect(middle[left] + share[left] * step[left], low, high)[0]
         theta = marginal.theta_at(w, centre[left])
-        theta[:, problem.n_structural :] *= np.exp(share[left] * of_noise[left])
-        inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
+        theta[:, problem.n_structural : problem.ndim] *= np.exp(share[left] * of_noise[left])
+        inside = find_inside(theta[:, : problem.ndim], problem.lower, problem.upper)[0] & np.all(
+            (w > low) & (w < high), axis=1
+        )
         inside &= marginal.log_prob_and_grad(w, theta, known.scales)[0] > least[left]
         theta[~inside] = centre[left][~inside]
         normal = given.approximate(theta, known.scales)
         z = normal.bend(normal.mean + normal.scatter(share[left, :, None] * of_scores[left]))
-        theta = problem.layout.restore_scores(given.scores.put(theta, z))
-        good = inside & np.isfinite(problem.log_prob(theta))
+        theta = given.scores.put(theta, z)
+        theta[:, marginal.columns] += share[left] * of_errors[left] @ known.by_errors.T
+        theta = problem.layout.restore_scores(theta)
+        good = inside & np.isfinite(problem.log_prob(theta[:, : problem.ndim]))
         found[left[good]] = theta[good]
         share[left] *= 0.5
         left = left[~good]
         if not len(left):
             break
-    return found
+    return found[:, : problem.ndim]
 
 
 def _compute(problem: UpdatingProblem) -> Conditionals:
     problem = problem.with_layout(problem.layout.without_time())
-    plain = problem.with_layout(problem.layout.remove_centring())
+    marginal_of_errors = problem.with_layout(problem.layout.remove_centring())
+    plain = with_errors_as_parameters(marginal_of_errors)
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
-    first = problem.layout.standardise_scores(own)
+    first = _with_errors(plain, problem.layout.standardise_scores(own))
     scales = _scales(plain, first)
     scores, marginal = _about(plain, first, scales)
     normal = _fit(marginal, first, marginal.rough_covariance(first, scales), scales)
@@ -143,13 +157,47 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
         normal = _fit(marginal, theta, normal.covariance, scales)
     else:
         theta = first
-    s = theta[:, problem.n_structural :]
-    information = sum((term.information(s)[0] for term in problem.likelihood.terms_of), np.zeros((s.size, s.size)))
+    s, columns = theta[:, problem.n_structural : problem.ndim], marginal.columns
+    if plain.ndim > problem.ndim:
+        scaled, likelihood = ScaledDensity(plain), _given_errors(plain)
+        hessian = GaussNewton(plain)(scaled.to_scaled(theta))[2][0] / np.outer(scaled.scale, scaled.scale)
+        information = hessian[problem.n_structural : problem.ndim, problem.n_structural : problem.ndim]
+        sizes = likelihood.sizes(theta[:, problem.n_structural :])[0]
+        by_errors = (
+            np.linalg.solve(hessian[np.ix_(columns, columns)], _slopes_by_errors(plain, theta)[columns]) / sizes
+        )
+    else:
+        every = (term.information(s)[0] for term in problem.likelihood.terms_of)
+        information, by_errors = sum(every, np.zeros((s.size, s.size))), np.empty((len(columns), 0))
+        sizes = np.empty(0)
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)
     noise_prior = JointPrior(problem.parameters[problem.n_structural :])
-    populations = PopulationsGivenValues(plain.layout, plain.parameters)
-    events = undated_events(plain.layout, plain.parameters, theta[0])
-    return Conditionals(scores, marginal, normal, noise, noise_prior, populations, events, theta, scales)
+    populations = PopulationsGivenValues(plain.layout, problem.parameters)
+    events = undated_events(plain.layout, problem.parameters, theta[0])
+    return Conditionals(
+        scores, marginal, normal, noise, by_errors, sizes, noise_prior, populations, events, theta, scales
+    )
+
+
+def _given_errors(plain: UpdatingProblem) -> LikelihoodGivenErrors:
+    assert isinstance(plain.likelihood, LikelihoodGivenErrors)  # for the type checker
+    return plain.likelihood
+
+
+def _with_errors(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return theta, (1, n), with the most probable model errors if these are parameters of the problem."""
+    if plain.ndim == theta.shape[1]:
+        return theta
+    errors = _given_errors(plain).likeliest(plain.layout.of_model(theta))
+    return np.concatenate([theta, errors], axis=1)
+
+
+def _slopes_by_errors(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return the derivatives of ∇log P with respect to model errors, (ndim, n_errors), at theta (1, ndim)."""
+    n = _given_errors(plain).n_errors
+    steps = np.eye(plain.ndim)[-n:]
+    slopes = plain.log_prob_and_grad(np.concatenate([theta + steps, theta - steps]))[1]
+    return 0.5 * (slopes[:n] - slopes[n:]).T
 
 
 def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
+from fmu.posterior.discrepancy.given_errors import ExpandedErrors, LikelihoodGivenErrors
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.noise import Spread
 from fmu.posterior.frf.likelihood import FRFLikelihood
@@ -32,9 +33,9 @@ class Expansion(NamedTuple):
     ----------
     values : ndarray, shape (n_tests, P)
         Structural parameters in each test at the expansion point.
-    slope : ndarray, shape (n_tests, P)
+    slope : ndarray, shape (1, n_tests, P)
         Gradient of each test's log-likelihood.
-    information : ndarray, shape (n_tests, P, P)
+    information : ndarray, shape (1, n_tests, P, P)
         Gauss–Newton approximation of the negative second derivatives.
     noise : ndarray, shape (1, n_noise)
         Inferred error sds at the expansion point.
@@ -42,6 +43,8 @@ class Expansion(NamedTuple):
         Error variances of the measured modes.
     test_of_modes : ndarray of int, shape (n_modes,)
         Index of the test that measured each mode.
+    errors : ExpandedErrors, optional
+        The model errors, where these are parameters. Then `slope` and `information` are those of all other data.
     """
 
     values: FloatArray
@@ -50,6 +53,14 @@ class Expansion(NamedTuple):
     noise: FloatArray
     spreads: tuple[Spread, ...]
     test_of_modes: IntArray
+    errors: ExpandedErrors | None = None
+
+    def given_errors(self, noise: FloatArray) -> Self:
+        """Return the expansion with the slope and information of n chains, for `noise` (n, n_noise)."""
+        if self.errors is None:
+            return self
+        slope, information = self.errors.quadratic(noise)
+        return self._replace(slope=self.slope + slope, information=self.information + information)
 
     def weigh(self, noise: FloatArray) -> FloatArray:
         """Return factors, (n, n_tests, 1), that adapt slope and information to error sds `noise` (n, n_noise).
@@ -71,14 +82,18 @@ class Expansion(NamedTuple):
 def expand(layout: Layout, likelihood: OfTests, theta: FloatArray) -> Expansion:
     """Expand the log-likelihoods of all tests to second order about theta, shape (ndim,)."""
     slopes = likelihood.terms_and_gradient(layout.of_model(theta[None]))[1][..., : len(layout.structural)]
-    slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))[0]
+    slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))
     values = layout.values(theta[None, : len(layout.parameters)])[0]
     information, noise = (
-        information_by_test(layout, likelihood, theta),
+        information_by_test(layout, likelihood, theta)[None],
         theta[None, len(layout.parameters) :].copy(),
     )
-    spreads = tuple(term.spread for term in likelihood.terms_of)
-    return Expansion(values, slope, information, noise, spreads, likelihood.model.test_of_modes)
+    spreads, errors = tuple(term.spread for term in likelihood.terms_of), None
+    if isinstance(likelihood, LikelihoodGivenErrors):
+        errors = likelihood.expand(layout.of_model(theta[None]))
+        slope = slope - errors.quadratic(noise)[0]
+        information = information - errors.quadratic(np.zeros_like(noise))[1]
+    return Expansion(values, slope, information, noise, spreads, likelihood.model.test_of_modes, errors)
 
 
 def information_by_test(layout: Layout, likelihood: OfTests, theta: FloatArray) -> FloatArray:

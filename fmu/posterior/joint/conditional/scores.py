@@ -120,6 +120,8 @@ class Linear(NamedTuple):
         Log-likelihood − ½ zᵀ P z at the most probable scores, where P is `of_prior`.
     pull : ndarray, shape (n, n_tests, n_structural)
         Log-likelihood gradients with respect to the parameter values, at the centre.
+    information : ndarray, shape (n, n_tests, n_structural, n_structural) or (1, …)
+        The information of each test on the parameter values, given the model errors if there are any.
     weight : ndarray, shape (n, n_tests, 1) or (1, 1, 1)
         Factors from `Expansion.weigh`.
     factor, inverse : ndarray, shape (n, n_tests, p, p)
@@ -136,6 +138,7 @@ class Linear(NamedTuple):
     step: FloatArray
     largest: FloatArray
     pull: FloatArray
+    information: FloatArray
     weight: FloatArray
     factor: FloatArray
     inverse: FloatArray
@@ -219,8 +222,6 @@ class ScoresGivenMain:
 
     def __init__(self, layout: Layout, expansion: Expansion, bend: Bend | None = None) -> None:
         self.layout, self.expansion, self.scores, self.bend = layout, expansion, Scores.of(layout), bend
-        numbers = self.scores.parameters
-        self._information = expansion.information[:, numbers[:, None], numbers]
 
     def log_prior(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
         """Return the log-prior of each test's scores given main parameters and `scales`, shape (n, n_tests).
@@ -238,7 +239,12 @@ class ScoresGivenMain:
 
         `scales` is as in `Linear`.
         """
-        known, numbers, scored = self.expansion, self.scores.parameters, self.scores.scored
+        numbers, scored, noise = (
+            self.scores.parameters,
+            self.scores.scored,
+            theta[:, len(self.layout.parameters) :],
+        )
+        known = self.expansion.given_errors(noise)
         of = theta[:, : len(self.layout.parameters)]
         pairs = zip(self.scores.every, known.values.T[numbers], strict=True)
         z = np.stack([one.nearest_scores(of, values) for one, values in pairs], axis=2)
@@ -248,11 +254,11 @@ class ScoresGivenMain:
         by_score = [one.of_score(values[j][1]) for j, one in zip(numbers, self.scores.every, strict=True)]
         slopes = np.where(scored, np.stack(by_score, axis=2), 0.0)
         away = np.stack([value for value, _ in values], axis=2) - known.values
-        weight = known.weigh(theta[:, len(self.layout.parameters) :])
-        turned = np.einsum("tij,ntj->nti", known.information, away)
+        weight = known.weigh(noise)
+        turned = np.einsum("ntij,ntj->nti", known.information, away)
         value = weight[..., 0] * np.einsum("nti,nti->nt", away, known.slope - 0.5 * turned)
         gradient = weight * (known.slope - turned)
-        precision = self._information * slopes[..., :, None] * slopes[..., None, :]
+        precision = known.information[..., numbers[:, None], numbers] * slopes[..., :, None] * slopes[..., None, :]
         precision = weight[..., None] * precision
         of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
         if self.layout.correlation is not None:
@@ -266,7 +272,9 @@ class ScoresGivenMain:
         factor, inverse = np.linalg.cholesky(precision), np.linalg.inv(precision)
         step = np.einsum("ntij,ntj->nti", inverse, total)
         value = value + 0.5 * np.einsum("nti,nti->nt", total, step)
-        return Linear(at, z, slopes, step, value, gradient, weight, factor, inverse, of_prior, scales)
+        return Linear(
+            at, z, slopes, step, value, gradient, known.information, weight, factor, inverse, of_prior, scales
+        )
 
     def log_evidence(self, linear: Linear) -> FloatArray:
         """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.
@@ -281,15 +289,15 @@ class ScoresGivenMain:
 
         The derivatives of values with respect to scores are treated as constant.
         """
-        of_scores = self.expansion.information[:, :, self.scores.parameters]
-        return linear.pull - linear.weight * np.einsum("tij,ntj->nti", of_scores, linear.slopes * linear.step)
+        of_scores = linear.information[..., self.scores.parameters]
+        return linear.pull - linear.weight * np.einsum("ntij,ntj->nti", of_scores, linear.slopes * linear.step)
 
     def information_on_values(self, linear: Linear) -> FloatArray:
         """Return minus the second derivatives of `log_evidence` with respect to values, (n, n_tests, P, P)."""
-        cross = self.expansion.information[:, :, self.scores.parameters] * linear.slopes[..., None, :]
+        cross = linear.information[..., self.scores.parameters] * linear.slopes[..., None, :]
         cross = linear.weight[..., None] * cross
         explained = cross @ linear.inverse @ np.swapaxes(cross, 2, 3)
-        return linear.weight[..., None] * self.expansion.information - explained
+        return linear.weight[..., None] * linear.information - explained
 
     def approximate(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Normal:
         """Return the normal approximation of the score density at the main parameters in theta (n, ndim).

@@ -1,0 +1,164 @@
+"""The errors of a model as parameters beside theta, given which the tests of a structure are independent.
+
+The likelihood of `DiscrepantLikelihood` is an integral over the latent errors z and w, which are standard normal
+(`fmu.posterior.discrepancy.latent`). Here they are further parameters, with this prior. The posterior of theta is
+exactly the same, and that of z and w given theta is Gaussian, so that they can be drawn (data augmentation; Tanner
+& Wong 1987, *J. Am. Stat. Assoc.* 82, 528–540).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.density import Posterior
+from fmu.posterior.discrepancy.draws import errors_from_normal
+from fmu.posterior.discrepancy.latent import KnownErrors
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from fmu.posterior.discrepancy.model_errors import Linearised
+from fmu.posterior.joint.varies.base import sum_by_test
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal
+from fmu.types import FloatArray, IntArray
+
+_STEP = 1e-4
+"""Step of the differences of residuals, in units of the parameters; their error is of the order of its square."""
+
+
+def with_errors_as_parameters[Problem: Posterior](problem: Problem) -> Problem:
+    """Return the problem with the latent errors of its model as parameters; the problem itself if it has none."""
+    likelihood = problem.likelihood
+    if not isinstance(likelihood, DiscrepantLikelihood):
+        return problem
+    return problem.with_likelihood(LikelihoodGivenErrors(likelihood))
+
+
+class LikelihoodGivenErrors(DiscrepantLikelihood):
+    """The likelihood of parameters and latent errors, which follow the inferred standard deviations in theta.
+
+    Parameters
+    ----------
+    of : DiscrepantLikelihood
+        The likelihood without the latent errors.
+    """
+
+    def __init__(self, of: DiscrepantLikelihood) -> None:
+        vars(self).update(vars(of))
+        self.of, self._alone = of, None
+        groups, self._place = np.unique(of.group, return_inverse=True)
+        self._first, self._n_groups = of.model.n_parameters + len(of.noise), len(groups)
+        self._n_own = len(of.errors.of_mode) + sum(one.n_own for one in of.errors.modes)
+        n = self._n_groups * self._n_own + of.errors.n_common
+        self.noise = (*of.noise, *(Parameter(f"latent error {i + 1}", 0.0, prior=Normal(1.0)) for i in range(n)))
+
+    def draw(self, rng: np.random.Generator, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
+        """Return errors (n, n_errors), drawn given the data; `seen` is what `observed` returns at theta."""
+        given = self.of.errors_given_data(seen, theta, self._used)
+        return self._join(
+            *errors_from_normal(*self._split(rng.standard_normal((len(theta), self.n_errors))), given)
+        )
+
+    def likeliest(self, theta: FloatArray) -> FloatArray:
+        """Return the most probable errors, (n, n_errors), at theta (n, ndim)."""
+        mean, gain, _, w, _ = self.of.errors_given_data(self.of.observed(theta), theta, self._used)
+        return self._join(mean - np.einsum("nmpc,nc->nmp", gain, w), w)
+
+    @property
+    def n_errors(self) -> int:
+        """Number of latent errors."""
+        return len(self.noise) - len(self.of.noise)
+
+    def _join(self, z: FloatArray, w: FloatArray) -> FloatArray:
+        of_groups = z[:, np.unique(self._place, return_index=True)[1]]
+        return np.concatenate([of_groups.reshape(len(z), -1), w], axis=1)
+
+    def _split(self, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return z of all measured modes, (n, n_modes, P), and w, (n, C), for errors (n, n_errors)."""
+        k = self._n_groups * self._n_own
+        return errors[:, :k].reshape(len(errors), self._n_groups, self._n_own)[:, self._place], errors[:, k:]
+
+    def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> KnownErrors:
+        found = self.of._latent(rows, theta)
+        z, w = self._split(theta[:, self._first :])
+        return KnownErrors(found.residuals, found.loads, found.common, found.group, z[:, self._used], w)
+
+    def _terms_and_slopes(self, *args: Any) -> tuple[FloatArray, FloatArray]:
+        terms, slopes = super()._terms_and_slopes(*args)
+        latent: KnownErrors = args[-1]
+        m, n, k = len(self._used), slopes.shape[2] - len(self.noise) + len(self.of.noise), self._n_own
+        error, rows = latent.residuals - latent.fitted, np.arange(m)[:, None]
+        columns = n + k * self._place[self._used][:, None] + np.arange(k)
+        slopes[:, rows, columns] += np.einsum("nmkp,nmk->nmp", latent.loads, error)
+        slopes[:, :m, n + k * self._n_groups :] += np.einsum("nmkc,nmk->nmc", latent.common, error)
+        return terms, slopes
+
+    def expand(self, theta: FloatArray) -> ExpandedErrors:
+        """Return the residuals about theta, (1, ndim), as a function of the errors."""
+        values, noise = self._values(theta)[0], theta[:, self.model.n_parameters :]
+        p, scale = values.shape[1], self.errors.scale(values)
+        points = np.repeat(values[None], 1 + 2 * p, axis=0)
+        k = np.arange(p)
+        points[1 + k, :, k] += _STEP * scale.T
+        points[1 + p + k, :, k] -= _STEP * scale.T
+        at = np.concatenate([points.reshape(len(points), -1), np.repeat(noise, len(points), axis=0)], axis=1)
+        rows = self._linearise(self.observed(at, True), at)
+        own, common = self.errors.units(rows, points[:, self._test])
+        step = (_STEP * scale)[self._test]
+        return ExpandedErrors(self, rows.residuals, own, common, step, self._test, len(values))
+
+    def sizes(self, noise: FloatArray) -> FloatArray:
+        """Return the standard deviations of the errors, in units of parameters and modes, (n, n_errors).
+
+        They are zero where a variance is negative, as it is for a correlation out of its bounds.
+        """
+        own, common = self.errors.variances(noise)
+        return np.sqrt(np.maximum(np.concatenate([np.tile(own, self._n_groups), common], axis=1), 0.0))
+
+    def errors_at(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the errors in these units, (n, m, P) and (n, C), for the end of theta, (n, n_noise)."""
+        z, w = self._split(self.sizes(noise) * noise[:, len(self.of.noise) :])
+        return z[:, self._used], w
+
+
+@dataclass(frozen=True, eq=False)
+class ExpandedErrors:
+    """The residuals of m rows at points about one theta, linear in the errors.
+
+    The first of the b = 1 + 2 P points is theta; at the others each parameter in turn is larger, then smaller.
+
+    Attributes
+    ----------
+    likelihood : LikelihoodGivenErrors
+    residuals : ndarray, shape (b, m, k)
+        The residuals without errors.
+    own, common : ndarray, shapes (b, m, k, n_own) and (b, m, k, C)
+        The residuals due to unit errors.
+    step : ndarray, shape (m, P)
+        The steps of the parameters.
+    test : ndarray of int, shape (m,)
+    n_tests : int
+    """
+
+    likelihood: LikelihoodGivenErrors
+    residuals: FloatArray
+    own: FloatArray
+    common: FloatArray
+    step: FloatArray
+    test: IntArray
+    n_tests: int
+
+    def quadratic(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the slope (n, n_tests, P) and information (n, n_tests, P, P) of each test, given errors.
+
+        `noise`, (n, n_noise), has the inferred standard deviations, and then the errors. The standard deviations
+        of the measurement are those of theta.
+        """
+        z, w = self.likelihood.errors_at(noise)
+        r = self.residuals - np.einsum("bmkp,nmp->nbmk", self.own, z) - np.einsum("bmkc,nc->nbmk", self.common, w)
+        p = self.step.shape[1]
+        J = (r[:, 1 : 1 + p] - r[:, 1 + p :]) / (2.0 * self.step.T[..., None])
+        slope, information = -np.einsum("npmk,nmk->nmp", J, r[:, 0]), np.einsum("npmk,nqmk->nmpq", J, J)
+        return sum_by_test(slope, self.test, self.n_tests), sum_by_test(information, self.test, self.n_tests)

@@ -1,0 +1,164 @@
+"""Steps of the main parameters and of the sizes of errors, where a model has errors of its own.
+
+The errors of the model (`fmu.Discrepancy`) are common to all tests. They are drawn at the end of each Gibbs step,
+from their Gaussian distribution given all other parameters, and the tests are independent given the errors
+(`fmu.posterior.discrepancy.given_errors`). But errors and main parameters explain the same residuals: given the
+errors, the main parameters hardly move. Three kinds of steps move them further.
+
+1. The size of the errors is scaled, while the errors in standard deviations stay the same, and the main parameters
+   move so that they make up for the change. It leads along the funnel of a small scatter.
+2. The main parameters take random walks at fixed scores, in the density without the errors (a partially collapsed
+   Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change that would make up
+   for random errors.
+3. The sizes take random walks in the density without the errors, given the predicted modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.box import find_inside
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.discrepancy.given_errors import LikelihoodGivenErrors
+from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.problem import UpdatingProblem
+from fmu.samplers.gibbs.main_parameters import MovesOfMain
+from fmu.samplers.local import accept
+from fmu.types import FloatArray
+
+_NOISE_STEPS, _NOISE_SIZE = 4, 2.0
+"""Number of random-walk steps for each error standard deviation, and their size in standard deviations of its
+logarithm at the typical point."""
+_SHIFTS = 4
+"""Number of random-walk steps of the main parameters without the errors of the model."""
+_SMALLEST = 0.05
+"""Size of the smallest random-walk step, in standard deviations; the largest is 1."""
+
+
+@dataclass(frozen=True)
+class MovesWithErrors(MovesOfMain):
+    """Steps that take the errors of the model into account; all steps of `MovesOfMain` are given these errors.
+
+    Attributes
+    ----------
+    collapsed : UpdatingProblem
+        The problem without the errors of the model, which are the last parameters of `problem` if it has any, and
+        with standard normal scores.
+    """
+
+    collapsed: UpdatingProblem
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether the model has errors of its own."""
+        return self.problem.ndim > self.collapsed.ndim
+
+    @property
+    def given_errors(self) -> LikelihoodGivenErrors:
+        """The likelihood given the errors of the model, if it has any."""
+        assert isinstance(self.problem.likelihood, LikelihoodGivenErrors)
+        return self.problem.likelihood
+
+    @property
+    def modal(self) -> ModalLikelihood:
+        """The likelihood without the errors of the model."""
+        assert isinstance(self.collapsed.likelihood, ModalLikelihood)  # of several tests
+        return self.collapsed.likelihood
+
+    @property
+    def solves_with_errors(self) -> int:
+        """Number of solves in `move_with_errors`."""
+        return 2 + _SHIFTS + len(self.conditionals.noise)
+
+    def likeliest_errors(self, theta: FloatArray) -> dict[str, FloatArray]:
+        """Return the most probable errors of the model at theta, (chains, ndim), and the terms given them."""
+        given, at = self.given_errors, self.problem.layout.of_model(theta)
+        errors = given.likeliest(at)
+        return {"terms": given.terms(np.concatenate([at, errors], axis=1)), "errors": errors}
+
+    def move_with_errors(
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
+    ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray], FloatArray]:
+        """Move main parameters and sizes of errors as the errors of the model allow, and draw these errors.
+
+        Returns
+        -------
+        theta, terms : ndarray
+            Without these errors.
+        kept : dict
+            The errors, and the terms given the errors.
+        shifted : ndarray, shape (chains,)
+            The share of accepted steps of the main parameters.
+        """
+        problem, columns = self.collapsed, self.conditionals.marginal.columns
+        theta = self._move_sizes(rng, theta, terms)[:, : problem.ndim]
+        shifted = np.zeros(len(theta))
+        log_prob = problem.log_prob(theta)
+        sizes = self.given_errors.sizes(theta[:, problem.n_structural :])
+        for _ in range(_SHIFTS):
+            size = _SMALLEST ** rng.random((len(theta), 1))
+            candidate = theta.copy()
+            step = size * sizes * rng.standard_normal(sizes.shape)
+            candidate[:, columns] += step @ self.conditionals.by_errors.T
+            new = problem.log_prob(candidate)
+            moved = accept(rng, new - log_prob)
+            theta, log_prob = np.where(moved[:, None], candidate, theta), np.where(moved, new, log_prob)
+            shifted += moved / _SHIFTS
+        at, of = problem.layout.of_model(theta), self.given_errors
+        seen = of.observed(at)
+        theta, terms = self.move_noise(rng, theta, at, seen, self.modal.terms_of_observed(seen, at))
+        at = problem.layout.of_model(theta)
+        errors = of.draw(rng, seen, at)
+        given = of.terms_of_observed(seen, np.concatenate([at, errors], axis=1))
+        return theta, terms, {"terms": given, "errors": errors}, shifted
+
+    def _move_sizes(self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray) -> FloatArray:
+        """Move the standard deviations of the errors, with main parameters that make up for the model's errors.
+
+        These errors stay the same in standard deviations. Each step takes a solve.
+        """
+        problem, columns, given = self.collapsed, self.conditionals.marginal.columns, self.given_errors
+        first, n = problem.n_structural, problem.ndim
+        prior = problem.log_prior(theta[:, :n])
+        for k, width in enumerate(self.conditionals.noise):
+            step = _NOISE_SIZE * width * _SMALLEST ** rng.random(len(theta)) * rng.standard_normal(len(theta))
+            noise, candidate = theta[:, first:].copy(), theta.copy()
+            noise[:, k] *= np.exp(step)
+            inside = find_inside(noise[:, : n - first], problem.lower[first:], problem.upper[first:])[0]
+            candidate[:, first:] = noise = np.where(inside[:, None], noise, theta[:, first:])
+            growth = given.sizes(noise) - given.sizes(theta[:, first:])
+            candidate[:, columns] += (growth * theta[:, n:]) @ self.conditionals.by_errors.T
+            new_prior = np.where(inside, problem.log_prior(candidate[:, :n]), -np.inf)
+            candidate = np.where(np.isfinite(new_prior)[:, None], candidate, theta)
+            new_terms = given.terms(problem.layout.of_model(candidate))
+            with np.errstate(invalid="ignore"):
+                moved = accept(rng, (new_terms - terms).sum(axis=1) + new_prior - prior + step)
+            theta, terms = (np.where(moved[:, None], *x) for x in ((candidate, theta), (new_terms, terms)))
+            prior = np.where(moved, new_prior, prior)
+        return theta
+
+    def move_noise(
+        self, rng: np.random.Generator, theta: FloatArray, at: FloatArray, seen: ModalPrediction, terms: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Move the error standard deviations; return theta, and the log-likelihood terms (chains, n_terms).
+
+        Each in turn takes a random walk on the logarithmic scale. The predicted modes `seen` do not change; `at`
+        has the parameters of the model.
+        """
+        problem, likelihood, first = self.collapsed, self.modal, self.collapsed.n_structural
+        begin = at.shape[1] - len(self.conditionals.noise)
+        prior = self.conditionals.noise_prior
+        for k in np.tile(np.arange(len(self.conditionals.noise)), _NOISE_STEPS):
+            step = _NOISE_SIZE * self.conditionals.noise[k] * rng.standard_normal(len(theta))
+            candidate = at.copy()
+            candidate[:, begin + k] *= np.exp(step)
+            s, new = at[:, begin:], candidate[:, begin:]
+            new_terms = likelihood.terms_of_observed(seen, candidate)
+            with np.errstate(invalid="ignore"):
+                ratio = (new_terms - terms).sum(axis=1) + prior.log_pdf(new) - prior.log_pdf(s) + step
+            inside = find_inside(new, problem.lower[first:], problem.upper[first:])[0]
+            moved = (inside & accept(rng, ratio))[:, None]
+            at, terms = np.where(moved, candidate, at), np.where(moved, new_terms, terms)
+        return np.concatenate([theta[:, :first], at[:, begin:]], axis=1), terms
