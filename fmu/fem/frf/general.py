@@ -103,7 +103,7 @@ class GeneralResponses:
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return u for a unit force at each point, in basis coordinates, shape (n, n_points, r, n_lines)."""
+        """Return responses u to a unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
         for i, solved in enumerate(self._poles):
@@ -161,7 +161,7 @@ class GeneralResponses:
         return found, of_damping
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
-        """Return ∂H, shape (n, n_frfs, n_lines, p + q), at lines ω; see `ModalResponses.slopes`."""
+        """Return the FRF derivatives ∂H at lines ω, (n, n_frfs, n_lines, p + q); see `ModalResponses.slopes`."""
         u, damping = self.displacements(omega), self.damping
         n, r = self.K.shape[:2]
         p = self.theta.shape[1]

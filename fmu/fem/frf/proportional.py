@@ -141,7 +141,7 @@ class ProportionalDamping:
         return found
 
     def slopes(self, lam: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of c_r and of h_r with respect to the damping parameters, (n, r, q) each."""
+        """Return the derivatives of c_r and h_r with respect to the damping parameters, (n, r, q) each."""
         n, r = lam.shape
         viscous, hysteretic = np.zeros((n, r, self.n_values)), np.zeros((n, r, self.n_values))
         omega = np.sqrt(np.maximum(lam, 0.0))
@@ -221,7 +221,7 @@ class ModalResponses:
         return i, r, s
 
     def _resonances(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the real and the imaginary part of g_r(ω), shape (n, r, n_lines) each."""
+        """Return the real and imaginary parts of the resonance factors g_r(ω), shape (n, r, n_lines) each."""
         # in place: at many lines the time goes into memory, not into arithmetic
         stiff = self.lam[:, :, None] - omega**2
         lossy = self.rates.viscous[:, :, None] * omega
@@ -298,7 +298,7 @@ class ModalResponses:
 
     @staticmethod
     def _split(at: FloatArray, to: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_f sym(φ_jr φ_ks) T_fr over all FRFs f, (n, r, s), and its transpose Σ_f sym(φ_jr φ_ks) T_fs.
+        """Return Σ_f sym(φ_jr φ_ks) T_fr over all FRFs f, (n, r, s), and its transpose.
 
         `at` and `to` are the shapes φ at the two points j and k of each FRF.
         """
@@ -306,7 +306,7 @@ class ModalResponses:
         return one, np.swapaxes(one, 1, 2)
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
-        """Return ∂H at lines ω in rad/s, shape (n, n_frfs, n_lines, p + q).
+        """Return the FRF derivatives ∂H at lines ω in rad/s, shape (n, n_frfs, n_lines, p + q).
 
         The derivatives are with respect to the p structural parameters, and then the q damping parameters.
         """

@@ -83,9 +83,9 @@ class Block:
         return self.modes(theta, count)[0]
 
     def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂λ/∂θ, shape (n, m, n_parameters), for modes from `modes` (Fox & Kapoor 1968, eq. 5).
+        """Return eigenvalue gradients ∂λ/∂θ, (n, m, n_parameters), for modes from `modes`.
 
-        ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1; for simple eigenvalues.
+        ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1, for simple eigenvalues (Fox & Kapoor 1968, eq. 5).
         """
         gradient = self._K_map.contract(theta, self._forms(phi, of_mass=False))
         if self.constant_mass:
@@ -301,7 +301,10 @@ class Block:
     def _slopes_seen(
         self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return ∂λ (n, count, n_parameters), and ∂φ at the sensors (n, n_sensors, count, n_parameters)."""
+        """Return derivatives of eigenvalues, (n, count, n_parameters), and of shapes at the sensors.
+
+        The latter have shape (n, n_sensors, count, n_parameters).
+        """
         raise NotImplementedError
 
 

@@ -39,7 +39,7 @@ CLOSE = 1e-7
 def by_all_modes(
     lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int, repeated: float = REPEATED
 ) -> FloatArray:
-    """Return ∂φ for the lowest `count` modes as sums over all modes.
+    """Return the derivatives ∂φ of the lowest `count` shapes, as sums over all modes.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def by_bordered_system(
 def by_bordered_matrices(
     K: FloatArray, M: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
 ) -> FloatArray:
-    """Return ∂φ for one mode of each of n small matrix pairs, shape (n, r, n_parameters).
+    """Return the shape derivatives ∂φ for one mode of each of n small matrix pairs, (n, r, n_parameters).
 
     Parameters
     ----------

@@ -362,7 +362,7 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return ∂K/∂theta_j φ for the matrix K given by `terms`, (m, size, n_parameters), for shapes φ (size, m)."""
+    """Return products ∂K/∂theta_j φ of stiffness derivatives and shapes φ (size, m), (m, size, n_parameters)."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 

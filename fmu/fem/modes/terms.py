@@ -79,7 +79,7 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j], shape (n,), or NaN or infinity if a power is undefined or overflows.
+    """Return the monomial Π theta[:, j] ** powers[j], shape (n,), or NaN or infinity where it is undefined.
 
     Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """

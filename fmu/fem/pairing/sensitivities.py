@@ -63,7 +63,7 @@ class Sensitivities:
         return ModalPrediction(self.frequencies, shapes, self.gradient, self.shape_slopes)
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return H_i d_i for the second derivatives H_i of each frequency, shape (n, m, n_parameters).
+        """Return each frequency's second derivatives H_i along its direction d_i, H_i d_i, (n, m, n_parameters).
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class SensitivitiesByDifferences(Sensitivities):
         self.frequencies, self.gradient = solve(theta)
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return H_i d_i from 2 m gradients per theta; see `Sensitivities`.
+        """Return second derivatives along `d` from 2 m gradients per theta; see `Sensitivities.curvature`.
 
         At a bound, the midpoint of the difference is moved inwards by one step. The relative error is then of the
         order of the step.

@@ -133,7 +133,7 @@ class ReducedBlock(Block):
         return assemble(self._K, K), assemble(self._M, M)
 
     def changes(self, theta: FloatArray, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return φᵀ ∂K φ and φᵀ ∂M φ for all pairs of shapes φ (n, r, m), each (n, n_parameters, m, m)."""
+        """Return modal products φᵀ ∂K φ and φᵀ ∂M φ of shapes (n, r, m), (n, n_parameters, m, m) each."""
         m = phi.shape[2]
         both = (
             self._slopes(theta, coefficient, rows, phi, m)
@@ -147,7 +147,10 @@ class ReducedBlock(Block):
         return self._K_map.coefficients(theta)[:, :, None, None] * self._K
 
     def stiffness_changes(self, theta: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return Σ_k w_k ∂c_k/∂θ K_k, (n, n_parameters, r, r), for term weights w (n, n_terms)."""
+        """Return the weighted stiffness derivatives Σ_k w_k ∂c_k/∂θ K_k, shape (n, n_parameters, r, r).
+
+        The `weights` w of the terms have shape (n, n_terms).
+        """
         n, r = len(theta), self.size
         weighted = weights[:, :, None] * self._K.reshape(len(self._K), -1)
         return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
@@ -201,7 +204,7 @@ class ReducedBlock(Block):
         return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂φ/∂θ, shape (n, r, m, n_parameters), from one system per mode.
+        """Return shape derivatives ∂φ/∂θ, (n, r, m, n_parameters), from one system per mode.
 
         They are NaN for repeated eigenvalues.
         """
@@ -215,9 +218,9 @@ class ReducedBlock(Block):
     def _solve_borders(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
-        """Return ∂φ, shape (n, r, m, q), from one system per mode, given ∂K φ and ∂M φ for q directions.
+        """Return shape derivatives ∂φ, (n, r, m, q), from one system per mode, given ∂K φ and ∂M φ.
 
-        Both arguments have the shape of ∂φ.
+        Both arguments have the shape of ∂φ, with q directions.
         """
         K, M = self.matrices(theta)
         slopes = np.empty(dK.shape)
@@ -229,7 +232,7 @@ class ReducedBlock(Block):
     def _slopes(
         self, theta: FloatArray, coefficient: ParametricMatrix, rows: FloatArray, phi: FloatArray, count: int
     ) -> FloatArray:
-        """Return φ_kᵀ (∂K/∂θ) φ_i for all k and the `count` lowest i, shape (n, r, count, n_parameters)."""
+        """Return modal products φ_kᵀ (∂K/∂θ) φ_i for all k and lowest `count` i, (n, r, count, n_parameters)."""
         n, r, _ = phi.shape
         products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)
         forms = np.swapaxes(phi, 1, 2)[:, None] @ products
@@ -307,7 +310,7 @@ def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
 
 
 def _whiten(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return L⁻¹ K L⁻ᵀ and L⁻¹, each of shape (n, r, r), from the Cholesky factorisation M = L Lᵀ."""
+    """Transform K φ = λ M φ to a standard problem: return L⁻¹ K L⁻ᵀ and L⁻¹, (n, r, r) each, with M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
 

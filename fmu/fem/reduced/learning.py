@@ -133,7 +133,10 @@ class Learner:
         self.share = np.concatenate([self.share, np.full(len(theta), share)])
 
     def solve_visited(self) -> tuple[FloatArray, FloatArray]:
-        """Return λ (n, count) and shapes (n, r, count) in the basis V at all visited points, or NaN on failure."""
+        """Return eigenvalues λ (n, count) and shapes (n, r, count) in the basis V at all visited points.
+
+        Both are NaN where the solver fails.
+        """
         lam, y = np.empty((0, self.count)), np.empty((0, self.space.size, self.count))
         if self._solved is not None and self._solved[0] is self.space:
             _, lam, y = self._solved

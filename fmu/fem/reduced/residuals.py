@@ -98,7 +98,7 @@ def bound_errors(
 def _solve_residuals(
     space: Space, anchors: Anchors, theta: FloatArray, best: IntArray, lam: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return w = Ā⁻¹ r (n_dof, n, m), the forms rᵢᵀ wⱼ (n, m, m), and wᵀ M w (n, m).
+    """Return the corrections w = Ā⁻¹ r of modal residuals r, (n_dof, n, m), rᵢᵀ wⱼ (n, m, m) and wᵀ M w (n, m).
 
     `best` (n,) is the index of the anchor point used at each theta.
     """

@@ -58,7 +58,7 @@ class SharedResiduals:
         return cls(block, np.empty((0, 0)), np.empty((len(block.M_terms), 0, 0)))
 
     def grown(self, X: FloatArray, solve: Callable[[FloatArray], FloatArray]) -> Self | None:
-        """Return the residuals after adding the vectors X (n_dof, q) to the space, or None if they are too many.
+        """Return shared residuals after adding vectors X (n_dof, q) to the space, or None if W grows too large.
 
         `solve` returns Ā⁻¹ b for b (n_dof, m).
         """
@@ -82,7 +82,7 @@ class SharedResiduals:
         return grown
 
     def restrict(self, S: FloatArray) -> Self:
-        """Return the residuals of the space V S, for S (r, q), without the vectors W."""
+        """Return the shared residuals of the smaller space V S, for S (r, q), without the vectors W."""
         T = len(self.energy) // len(S)
 
         def project(forms: FloatArray) -> FloatArray:
@@ -94,7 +94,10 @@ class SharedResiduals:
         return replace(self, energy=project(self.energy), mass=np.stack(list(map(project, self.mass))), W=())
 
     def coefficients(self, theta: FloatArray, lam: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the residuals as coefficients of R, (n, r T, m), for λ (n, m) and y (n, r, m) at theta (n, p)."""
+        """Return modal residuals as coefficients of the right-hand sides R, shape (n, r T, m).
+
+        The modes at theta (n, p) have eigenvalues λ (n, m) and vectors y (n, r, m).
+        """
         stiff = np.repeat(coefficients(self.block.K_terms, theta)[:, None], lam.shape[1], axis=1)
         heavy = -lam[:, :, None] * coefficients(self.block.M_terms, theta)[:, None]
         weights = np.concatenate([stiff, heavy], axis=2)  # (n, m, T)
@@ -102,14 +105,17 @@ class SharedResiduals:
         return np.asarray(z.reshape(*lam.shape, -1).swapaxes(1, 2))
 
     def forms(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rᵢᵀ Ā⁻¹ rⱼ (n, m, m) and wᵀ M(θ) w (n, m) at theta (n, p), from the `coefficients` z of r."""
+        """Return the inner products rᵢᵀ Ā⁻¹ rⱼ of modal residuals, (n, m, m), and wᵀ M w with w = Ā⁻¹ r, (n, m).
+
+        The residuals at theta (n, p) have the `coefficients` z.
+        """
         energy = z.swapaxes(1, 2) @ (self.energy @ z)
         heavy = coefficients(self.block.M_terms, theta)
         mass = sum(heavy[:, [k]] * np.sum(z * (form @ z), axis=1) for k, form in enumerate(self.mass))
         return energy, np.asarray(mass)
 
     def corrections(self, z: FloatArray) -> FloatArray:
-        """Return the vectors Ā⁻¹ r, shape (n_dof, m), for residuals with coefficients z (r T, m)."""
+        """Return the corrections Ā⁻¹ r, shape (n_dof, m), for residuals r with coefficients z (r T, m)."""
         found, first = np.zeros((self.block.size, z.shape[1])), 0
         for part in self.W:
             found += part @ z[first : first + part.shape[1]]

@@ -84,7 +84,10 @@ class Space:
         return Space(self.block, self.shift, self.V[:, :size], _leading(self.K, size), _leading(self.M, size))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest λ (n, count) and M-normalised y (n, r, count) at theta (n, p), with NaN on failure."""
+        """Return the lowest eigenvalues λ (n, count) and M-normalised vectors y (n, r, count) at theta (n, p).
+
+        Both are NaN where the solver fails.
+        """
         r, n = self.size, len(theta)
         lam, y = np.full((n, count), np.nan), np.full((n, r, count), np.nan)
         at_once = max(1, _AT_ONCE // r**2)
@@ -132,7 +135,7 @@ def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
 
 
 def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
-    """Return Xᵀ K [V X] for the matrix K of each term, shape (n_terms, q, r + q)."""
+    """Return the new rows Xᵀ K [V X] of each projected term K, shape (n_terms, q, r + q)."""
     r, q = V.shape[1], X.shape[1]
     projected = np.empty((len(terms), q, r + q))
     for term, of in zip(terms, projected, strict=True):
@@ -155,7 +158,7 @@ def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
 
 
 def _highest(B: FloatArray, A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the highest ν (count,) of B x = ν A x, descending, and x (r, count) with xᵀ A x = 1.
+    """Return the highest eigenvalues ν (count,) of B x = ν A x, descending, and vectors (r, count), xᵀ A x = 1.
 
     Only the lower triangles of A and B are read.
     """

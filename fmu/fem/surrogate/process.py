@@ -162,7 +162,7 @@ class Process:
         return self._mean + self.unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
 
     def _remaining_variance(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the posterior variance (n,) of the scaled y, k(x, x) − uᵀu with u = L⁻¹k (n, N)."""
+        """Return the posterior variance (n,) of the scaled y, which is k(x, x) − uᵀu with u = L⁻¹k (n, N)."""
         own = np.ones(len(x))
         for j in range(x.shape[1]):
             own += x[:, j] ** 2
@@ -179,7 +179,7 @@ class Process:
 
 
 def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return k (n, N) times a matrix (N, N), computed in chunks of equal shape so that rows are independent."""
+    """Return k (n, N) times a matrix (N, N), computed in chunks of equal size so that rows are independent."""
     n, N = k.shape
     padded = np.zeros((-(-n // _CHUNK) * _CHUNK, N))
     padded[:n] = k
@@ -187,7 +187,10 @@ def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return Σ_j w_j (x_j − x′_j)² for all pairs of points, shape (n, N), always summed in the same order."""
+    """Return weighted squared distances Σ_j w_j (x_j − x′_j)² between all pairs of points, shape (n, N).
+
+    They are always summed in the same order.
+    """
     total = np.zeros((len(x), len(other)))
     for j, weight in enumerate(weights):
         total += weight * (x[:, j, None] - other[:, j]) ** 2
