@@ -1,4 +1,4 @@
-"""Bounds on a reduced model's error at the draws of a run, confirmed by some full solves (the certificate)."""
+"""Certificate of a reduced model: bounds on its error at the draws of a run, confirmed by some full solves."""
 
 from __future__ import annotations
 
@@ -32,19 +32,18 @@ _MOST_BY_FULL = 0.03
 
 @dataclass(frozen=True)
 class Effort:
-    """Numbers of draws at which a certificate bounds the error and at which it solves the full model.
+    """How many draws a certificate uses to bound the error, and how many of them it solves with the full model.
 
     Attributes
     ----------
     work : int
         Largest number of degrees of freedom times draws at which the bound is evaluated.
     fewest, most : int
-        Smallest and largest number of these draws.
+        Smallest and largest number of draws at which the bound is evaluated.
     each : int
         One in `each` of these draws is solved with the full model.
     solved, solved_of_large : int
-        Smallest number of full solves for small structures, and for those with at least `large` degrees of
-        freedom.
+        Smallest number of full solves for small structures and for large structures.
     worst : int
         Number of full solves at the draws with the largest bounds.
     large : int
@@ -94,7 +93,8 @@ def certify(
     Returns
     -------
     Certificate or None
-        None without a reduced model or a surrogate. A surrogate's certificate is the one made when it was built.
+        For a surrogate, the certificate made when the surrogate was built. None if the model is neither a
+        surrogate nor reduced in every configuration.
 
     Warns
     -----
@@ -171,7 +171,10 @@ def certify(
 def _terms_of_both(
     problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return log-likelihoods at theta (n, ndim) by the full and the reduced model, both (n, n_modes)."""
+    """Return the per-mode log-likelihood terms of the full and the reduced model, each of shape (n, n_modes).
+
+    They are evaluated at `theta` (n, ndim).
+    """
     likelihood = problem.likelihood
     of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)
     if likelihood.by_frequencies:
@@ -181,13 +184,17 @@ def _terms_of_both(
 
 
 def certificate_failures(attrs: Mapping[Hashable, str | float]) -> list[str]:
-    """Return the reasons why a surrogate's draws are unreliable; empty for exact draws or a valid certificate."""
+    """Return the reasons why draws made with a surrogate are unreliable.
+
+    The list is empty if there was no surrogate, if delayed acceptance made the draws exact, or if the surrogate's
+    certificate is valid.
+    """
     found = SurrogateCertificate.from_trace(attrs)
     return [] if found is None or "second_stage_proposals" in attrs else found.reason_against()
 
 
 def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
-    """Return sentences on the second stage of delayed acceptance; empty if the run has no second stage."""
+    """Return sentences on the second stage of delayed acceptance, or an empty list if the run had none."""
     if "second_stage_proposals" not in attrs:
         return []
     proposals, accepted, failed = (
@@ -205,14 +212,17 @@ def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
 
 
 def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return bounds on the frequency errors, (n, n_modes); zero where the full model is used."""
+    """Return a bound on each relative frequency error, (n, n_modes); it is 0 where the full model is used."""
     bound = structure.frequency_bound(points)
     bound[~structure.within(points)] = 0.0
     return np.asarray(bound)
 
 
 def _is_outside(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return 1 for points outside the training bounds, where the full model is used, otherwise 0; (n, n_modes)."""
+    """Return 1 where a point lies outside the training bounds, otherwise 0, repeated for each mode: (n, n_modes).
+
+    Outside these bounds, the full model replaces the reduced one.
+    """
     outside = ~structure.within(points[:, : structure.n_parameters])
     return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
 

@@ -1,4 +1,4 @@
-"""Estimates of a run's cost, in solves and in seconds, and of a gradient's cost."""
+"""Estimate the cost of a run in solves and seconds, and the cost of a gradient."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 
 class Estimate(NamedTuple):
-    """Estimated cost of one part of a run: its name, solves, seconds, and its limit of solves, if any."""
+    """Estimated cost of one part of a run: its name, solves, seconds, and the limit on its solves, if any."""
 
     name: str
     solves: float
@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
 
 
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
-    """Estimate the cost of each sampler, and of each other part of a run that takes over a second.
+    """Estimate the cost of each sampler, and of each other part of a run that takes a second or longer.
 
     The list is empty if the whole run takes less than a minute. Progress bars then suffice, and a busy machine
     would make the estimates wrong.
@@ -52,8 +52,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     problem : UpdatingProblem
         The problem, which is solved a few times to measure the time of a solve.
     orders : mapping of str
-        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. Without
-        ``draws``, each sampler is estimated up to the first verdict.
+        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. If ``draws`` is
+        None, each sampler is estimated up to the first verdict.
     starts : int
         Number of starting points in the search for maxima.
     workers : int
@@ -104,7 +104,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
 def estimates_in_words(parts: list[Estimate]) -> str:
     """Format the estimates in one line: ``hmc: about 36 000 solves, 12 min (at most 2 000 000 solves)``.
 
-    The time for the largest number of solves is not stated, because it is not an estimate of the run's time.
+    No time is stated for the largest number of solves, because a run is not expected to take that long.
     """
     found = []
     for name, solves, seconds, most in parts:
@@ -116,8 +116,8 @@ def estimates_in_words(parts: list[Estimate]) -> str:
 def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
     """Return the time of a gradient divided by the time of a log-probability.
 
-    Each time is the shortest of at least five measurements, which alternate between the two. Other work on the
-    machine can only lengthen a measurement.
+    Each time is the shortest of at least five measurements, which alternate between the two, because other work on
+    the machine can only lengthen a measurement.
 
     Parameters
     ----------
@@ -140,13 +140,13 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 
 
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
-    """Return the time of one solve in seconds; for user functions, the time of the calls that one solve needs."""
+    """Return the time of one solve in seconds. For user functions, this is the time of all calls that it needs."""
     of_calls = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
     return _time_call(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 
 
 def _time_call(work: Callable[[], object]) -> float:
-    """Return the time of a call in seconds; a call below 1 s is repeated, because the first may load modules."""
+    """Return the time of a call in seconds. A call of up to 1 s is repeated: the first may load modules."""
     took = 0.0
     for _ in range(2):
         began = time.perf_counter()
@@ -160,7 +160,7 @@ def _time_call(work: Callable[[], object]) -> float:
 def _seconds_in_a_sampler(
     problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any], warmup: int, draws: int
 ) -> float:
-    """Return the seconds per solve in a sampler's first steps, including the sampler's own work."""
+    """Return the time per solve in a sampler's first steps, in seconds, including the sampler's own work."""
     from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, GroupState, RunContext, advance
     from fmu.samplers.loop.run import n_groups
 
@@ -182,13 +182,13 @@ def _seconds_in_a_sampler(
 
 
 def _round_number(number: float) -> str:
-    """Format a number rounded to two digits, with separated thousands."""
+    """Format a number rounded to two significant digits, with thousands separators."""
     digits = len(str(int(number))) - 2
     return whole(round(number, -max(digits, 0)))
 
 
 def time_in_words(seconds: float) -> str:
-    """Format a time in seconds, rounded to two digits, with its unit: ``"12 min"``."""
+    """Format a time given in seconds, rounded and with a suitable unit: ``"12 min"``, ``"under 1 s"``."""
     if seconds < 1.0:
         return "under 1 s"
     for size, unit in ((3600.0, "h"), (60.0, "min")):

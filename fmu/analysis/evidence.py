@@ -193,7 +193,7 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
 
 
 def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return warnings about regions that the candidates may miss, judged by the maxima stored in the trace."""
+    """Return warnings about regions that the candidates may miss, judged by any maxima stored in the trace."""
     from fmu.analysis.convergence.diagnosis import doubts_of_search, maxima_of
     from fmu.analysis.maxima.missed import compare_shares
 
@@ -205,7 +205,7 @@ def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
 def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
     """Return the standard error from the spread of the chains' estimates, and the larger of it and `within`.
 
-    The first error is NaN for a single chain.
+    The first value is NaN for a single chain; the second is then `within`.
     """
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     return between, float(np.fmax(within, between))
@@ -279,16 +279,16 @@ def found_evidences(
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of one problem, by sampler.
+        Traces of one problem, keyed by sampler.
     verdicts : mapping of str to Diagnosis
-        Verdict on each trace, by sampler.
+        Verdict on each trace, keyed by sampler.
     maxima : Maxima or None
 
     Returns
     -------
     list of FoundEvidence
-        Empty for a pseudo-likelihood, and if there are neither maxima, nor a run of parallel tempering, nor a run
-        with mixture candidates. An estimate that disagrees with a reliable one is marked as unreliable.
+        Empty if the likelihood is a pseudo-likelihood or no estimate is available. An estimate that disagrees with
+        a reliable one is marked as unreliable.
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
@@ -318,7 +318,10 @@ def _of_run(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> F
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
-    """Estimate the evidence by the total mass of the maxima; give the reasons why it may be unreliable."""
+    """Estimate the evidence as the total mass of the maxima, with reasons why it may be unreliable.
+
+    `reached` is the largest log-probability of any draw.
+    """
     fewest = maxima.effective_draws
     at = "at the maximum" if len(maxima) == 1 else f"at {len(maxima)} maxima"
     doubts = []
@@ -338,7 +341,7 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
 
 
 def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
-    """Add a doubt to each evidence that disagrees with a reliable one."""
+    """Return the estimates, with a doubt added to each one that disagrees with a reliable estimate."""
     reliable = [one for one in found if not one.doubts]
     compared = []
     for one in found:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _Estimate(NamedTuple):
-    """An estimate of log-evidence from a ladder of rungs, and each draw's influence on it, (chains, draws)."""
+    """A log-evidence estimate from a temperature ladder, and each draw's influence on it, (chains, draws)."""
 
     value: float
     influence: FloatArray
@@ -115,7 +115,7 @@ _MOST_BRIDGES = 200
 
 
 def tempering_group(result: RunResult) -> xr.Dataset:
-    """Return a dataset of the log-likelihoods and swaps at the rungs in a run of parallel tempering.
+    """Return a dataset of the log-likelihoods and swaps at all rungs of a parallel-tempering run.
 
     Returns
     -------

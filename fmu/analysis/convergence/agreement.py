@@ -1,4 +1,4 @@
-"""Agreement between samplers of one posterior: differences in mean and sd, in Monte-Carlo standard errors."""
+"""Compare the posterior means and standard deviations of several samplers, in Monte-Carlo standard errors."""
 
 from __future__ import annotations
 
@@ -31,12 +31,13 @@ class Agreement(NamedTuple):
     agrees : bool or None
         Whether the samplers agree; None if fewer than two can be compared.
     z : float
-        Largest difference in a mean or standard deviation, divided by its Monte-Carlo standard error; NaN if
-        nothing was compared.
+        Largest difference between two runs in any mean or standard deviation, divided by its Monte-Carlo standard
+        error; NaN if nothing was compared.
     sentence : str
         One sentence that states the result and the largest difference.
     left_out : tuple of str
-        Runs that do not meet the convergence criterion, so that their standard errors are unreliable.
+        Names of runs that do not meet the convergence criterion. Their standard errors are unreliable, so they
+        were not compared.
     """
 
     agrees: bool | None

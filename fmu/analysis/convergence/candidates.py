@@ -43,11 +43,11 @@ class Candidates(NamedTuple):
 
 
 def candidates_of(trace: xr.DataTree) -> Candidates | None:
-    """Return the number of candidates that a run drew and the number that it needs, or None if it drew none.
+    """Return the number of mixture candidates that a run drew and the number it needs, or None if it drew none.
 
     Chains reach a separate maximum through candidates from its mixture component, and the component's weight gives
     their expected number. If that number is small, every chain may have missed a maximum that warm-up found, and
-    neither R-hat nor ESS shows it. Every component therefore needs `TIMES` candidates. Since warm-up may have
+    neither R-hat nor ESS would show it. Every component therefore needs `TIMES` candidates. Since warm-up may have
     underestimated a weight, weights below 1 % count as 1 %. Components with weights below 0.1 % are ignored.
 
     Parameters
@@ -74,7 +74,7 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
 
 
 def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
-    """Return the settings of the mixture from which each group of chains drew, one dict per group."""
+    """Return the mixture settings that each group of chains used, one dict per group."""
     learnt = json.loads(trace.attrs["learnt"])
     if not learnt or int(trace.attrs["groups"]) == 1:
         return [learnt or json.loads(trace.attrs["settings"])]
@@ -82,9 +82,9 @@ def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
 
 
 def growth_for_candidates(trace: xr.DataTree) -> float:
-    """Return the factor by which the number of draws must grow to give enough candidates; ≤ 1 if they suffice.
+    """Return the factor by which the number of draws must grow to give enough mixture candidates.
 
-    The factor is 0 if the run drew no candidates.
+    The factor is at most 1 if there are enough already, and 0 if the run drew no candidates.
     """
     found = candidates_of(trace)
     return 0.0 if found is None else found.needed / found.drawn

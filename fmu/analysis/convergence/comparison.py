@@ -1,4 +1,4 @@
-"""Comparison of samplers: verdicts, errors and costs, also relative to the cost of a baseline sampler."""
+"""Compare samplers: their verdicts, errors and costs, with costs also relative to a baseline sampler."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
 
 class Judged(NamedTuple):
-    """Summaries and verdicts of several runs on one posterior, by name, and the table that `compare` returns."""
+    """Summaries and verdicts of several runs on one posterior, keyed by name, and their `compare` table."""
 
     summaries: Mapping[str, pd.DataFrame]
     verdicts: dict[str, Diagnosis]
@@ -102,7 +102,10 @@ def compare_runs(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> Judged:
-    """Return the summaries, verdicts and comparison table of several runs; arguments as for `diagnose_all`."""
+    """Return the summaries, verdicts and comparison table of several runs.
+
+    Its arguments are those of `fmu.analysis.convergence.diagnosis.diagnose_all`.
+    """
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
@@ -112,7 +115,7 @@ def compare_runs(
 
 
 def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, object]:
-    """Return one row of the comparison table as a dict of column names to values."""
+    """Return one row of the comparison table as a dict that maps column names to values."""
     import pandas as pd
 
     stats = trace["sample_stats"]
@@ -185,7 +188,7 @@ def costs_side_by_side(
 
 
 def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
-    """Return the costs as table rows of text, one column per sampler; rows without any value are left out."""
+    """Return the costs as rows of text: a label, then one cell per sampler. Rows that are all NaN are omitted."""
     rows = []
     for column, label in _ROWS.items():
         values = list(map(float, costs[column]))
@@ -196,9 +199,10 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 
 
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
-    """Return sentences on the costs at which each ensemble sampler met the criterion and passed all tests.
+    """Return sentences that compare, for each ensemble sampler, two costs in solves.
 
-    The text is empty if no sampler is an ensemble sampler.
+    They are the cost until R-hat and ESS met the criterion, and the total cost, with whether the further ensemble
+    tests then passed. The text is empty if no trace is from an ensemble sampler.
     """
     said = []
     for name, trace in traces.items():
@@ -227,7 +231,7 @@ def about_solves(solves: float) -> str:
 
 
 def _search(traces: Mapping[str, xr.DataTree]) -> float:
-    """Return the cost of the search for maxima in solves; zero if no trace stores it.
+    """Return the cost of the search for maxima in solves, or 0 if no trace stores a search.
 
     Gradients are converted to solves at the cost measured in one of the runs.
     """

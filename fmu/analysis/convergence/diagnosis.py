@@ -1,4 +1,4 @@
-"""The verdict on a run: whether it converged, why not, and whether the model fits the data."""
+"""The verdict on a run: whether it converged and, if not, why not; and whether the model fits the data."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Reasons why the run has not converged or, if it has, sentences on what the verdict does not cover."""
+        """Reasons why the run has not converged; if it has, sentences on what the verdict does not cover."""
         said = self.reasons
         if self.converged and not self.few:
             said = self.doubts_of_search or ((self.search,) if self.search else ())
@@ -161,7 +161,7 @@ class Diagnosis:
         return "".join(block(*one) for one in blocks)
 
     def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
-        """Return headings and their sentences: the verdict on the model with its failed checks, and the notes."""
+        """Return pairs of a heading and its sentences: first the verdict on the model, then the notes."""
         doubt = "" if self.converged else ", provisionally"
         blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.said)] if self.fit.checks else []
         return blocks + ([(NOTES, self.notes)] if self.notes else [])
@@ -173,18 +173,20 @@ def diagnose(
     problem: LogDensity | None = None,
     others: Mapping[str, xr.DataTree] | Iterable[xr.DataTree] = (),
 ) -> Diagnosis:
-    """Judge whether a run has converged, and if not, why; also judge whether the model fits the data.
+    """Judge whether a run has converged and whether the model fits the data, with reasons.
 
-    A run has converged if it passes every test of `fmu.analysis.convergence.diagnostics.convergence_failures` and
-    missed no region that holds 1 % of the probability. Such regions are known from `find_map` and from other runs.
-    The chains alone cannot reveal them: chains that all stay in one mode agree with each other.
+    A run has converged if it passes the tests in
+    `fmu.analysis.convergence.diagnostics.convergence_failures`, has missed no region with more than 1 % of the
+    probability, has visited the known maxima roughly in proportion to their mass, and, with a surrogate, has a
+    valid certificate. Missed regions are known from `find_map` and from other runs. The chains alone cannot reveal
+    them: chains that all stay in one mode agree with each other.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : LogDensity, optional
-        The problem or density that was sampled. If given, its maxima are searched for. Maxima stored in the traces
-        are always used.
+        The problem or density that was sampled. If given, `find_map` is run on it, unless it is hierarchical.
+        Maxima stored in the traces are always used.
     others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional
         Other runs on the same posterior.
 
@@ -282,7 +284,7 @@ def _is_above(trace: xr.DataTree, level: float) -> bool:
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return the reasons why a run has not converged, and warnings about the probabilities of the maxima."""
+    """Return the reasons why a run has not converged, and warnings on maxima whose estimated mass looks wrong."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
@@ -295,13 +297,13 @@ def diagnose_all(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Diagnosis]:
-    """Return the verdicts on several runs by name; each run is also compared with the others on its posterior.
+    """Return the verdicts on several runs, keyed by name. Each is compared with the other runs on its posterior.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that all of the runs sampled.
+        The problem that all of the runs sampled. If given, its maxima are searched for, unless it is hierarchical.
     summaries : mapping of str to pandas.DataFrame, optional
         ``summary(trace)`` of each trace, if already computed.
     """
@@ -314,19 +316,20 @@ def diagnose_all(
 
 
 def _search(problem: LogDensity | None) -> list[Maxima]:
-    """Search for the maxima of a problem; return a list with the result.
+    """Return the maxima found by `find_map`, as a list.
 
-    The list is empty without a problem, and for a population, whose maximum is far from its probability mass.
+    The list is empty if `problem` is None or hierarchical: the maximum of a hierarchical posterior lies far from
+    its probability mass.
     """
     return [search.find_map(problem)] if problem is not None and search.is_searchable(problem) else []
 
 
 def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:
-    """Return the name of the representative run: a converged one if possible, with the largest ESS.
+    """Return the name of the run with the largest ESS, chosen among the converged runs if there are any.
 
-    The representative run supplies the verdict on the model, the losses and the exported values if no sampler is
-    named. A run's ESS is the smallest over its parameters. Ties are resolved alphabetically, so the order of the
-    runs does not matter.
+    This run supplies the verdict on the model, the losses and the exported values if no sampler is named. A run's
+    ESS is the smallest over its parameters. Ties are resolved alphabetically, so the order of the runs does not
+    matter.
 
     Parameters
     ----------
@@ -343,7 +346,7 @@ def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.Dat
 
 
 def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
-    """Return True if a run has converged and every ESS in its summary is at least `until_ess` (False for NaN)."""
+    """Return True if a run has converged and every bulk and tail ESS is at least `until_ess` (False for NaN)."""
     return found.converged and fewest(table) >= until_ess
 
 
@@ -384,5 +387,5 @@ def maxima_of(trace: xr.DataTree) -> Maxima | None:
 
 
 def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
-    """Return the trace with the maxima added to it, so that every later verdict uses them."""
+    """Return the trace with the maxima stored in it, so that every later verdict uses them."""
     return with_group(trace, GROUP, maxima.to_dataset())

@@ -1,4 +1,4 @@
-"""The summary of a trace, and the convergence tests."""
+"""Summarise a trace, and test whether a run has converged."""
 
 from __future__ import annotations
 
@@ -164,9 +164,9 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 
 
 def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArray:
-    """Return the length of a run's first `part` (a fraction) in autocorrelation times, shape (ndim,).
+    """Return the number of autocorrelation times that the first `part` of a run spans, shape (ndim,).
 
-    Each parameter's slowest ensemble determines the autocorrelation time.
+    `part` is a fraction of the run. For each parameter, the slowest ensemble determines the autocorrelation time.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -297,7 +297,7 @@ def few_ensembles(trace: xr.DataTree) -> str:
 
 
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence on the mixture component with the fewest candidates, if they are too few."""
+    """Return a list with a sentence if some mixture component had too few candidates; otherwise an empty list."""
     found = candidates_of(trace)
     if found is None or found.drawn >= found.needed:
         return []
@@ -309,7 +309,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if a chain or walker stays too long at one point."""
+    """Return a list with a sentence if a chain or walker stays too long at one point; otherwise an empty list."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -321,7 +321,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
-    """Return sentences on the failed tests of Hamiltonian trajectories; empty if the sampler has none."""
+    """Return a sentence for each failed test of Hamiltonian trajectories: divergences, and E-BFMI."""
     failures = []
     diverging = _trajectories_that_diverged(trace)
     if not np.mean(diverging) <= DIVERGING_LIMIT:
@@ -336,10 +336,11 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Return a mask of the Hamiltonian trajectories that diverged, or a single zero if most steps are candidates.
+    """Return the Hamiltonian trajectories that diverged as a mask, with a single 0 if there is nothing to test.
 
-    A diverged trajectory stays at its starting point. A mixture's candidates do not depend on that point, and
-    their weights show how well they fit the posterior.
+    There is nothing to test if the sampler has no trajectories, or if most steps are mixture candidates. A
+    diverged trajectory stays at its starting point, but a candidate does not depend on that point, and the
+    candidates' weights show how well the mixture fits the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)
@@ -351,17 +352,17 @@ def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
 
 
 def _diverges_for_good(trace: xr.DataTree) -> bool:
-    """Return True if the fraction of diverging trajectories exceeds its limit by two standard errors."""
+    """Return True if more trajectories diverge than the limit allows, by at least two standard errors."""
     diverging = _trajectories_that_diverged(trace)
     n = float(diverging.sum())
     return n - 2.0 * np.sqrt(n) > DIVERGING_LIMIT * diverging.size
 
 
 def _heavy_weights(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if the candidate weights of a curved mixture have a heavy tail.
+    """Return a list with a sentence if a curved mixture's candidate weights have a heavy tail, else an empty list.
 
-    The mixture's curvature may be wrong beyond the draws to which it was fitted. Chains then hardly reach these
-    regions, and R-hat does not show it.
+    A curved mixture may be wrong in regions beyond the draws to which it was fitted. Chains then hardly reach
+    these regions, and R-hat does not show it.
     """
     if not has_curved_mixture(trace):
         return []
@@ -371,12 +372,15 @@ def _heavy_weights(trace: xr.DataTree) -> list[str]:
 
 
 def is_beyond_draws(trace: xr.DataTree) -> bool:
-    """Return True if a run has a fault that more draws cannot remedy: divergences, or heavy-tailed weights."""
+    """Return True if more draws cannot make a run converge, because of divergences or heavy-tailed weights."""
     return _diverges_for_good(trace) or bool(_heavy_weights(trace))
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the largest of `values`, or an empty list if all are below `limit`."""
+    """Return a list with a sentence on the largest of `values`, or an empty list if all are below `limit`.
+
+    A NaN counts as above the limit.
+    """
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -384,7 +388,10 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the smallest of `values`, or an empty list if none is below `limit`."""
+    """Return a list with a sentence on the smallest of `values`, or an empty list if all are at least `limit`.
+
+    A NaN counts as below the limit.
+    """
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))

@@ -48,7 +48,7 @@ def rhat(x: FloatArray) -> float:
 
 
 def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
-    """Return the bulk ESS: rank-normalised for chains; for ensembles, the ESS of the mean."""
+    """Return the bulk ESS. For an ensemble, this is the ESS of the mean, without rank normalisation."""
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
@@ -57,7 +57,10 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
 
 
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
-    """Return the tail ESS, the smaller ESS of the 5 % and 95 % quantiles."""
+    """Return the tail ESS, the smaller ESS of the 5 % and 95 % quantiles.
+
+    It is NaN if more than 5 % of the draws equal the largest one.
+    """
     if _is_degenerate(x):
         return np.nan
     below = [x <= quantile for quantile in np.quantile(x, TAIL)]
@@ -137,7 +140,7 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
 
 
 def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the variance of the overall mean, from overlapping batches, each a twentieth of a chain long."""
+    """Return the variance of the overall mean, from overlapping batches that are a twentieth of a chain long."""
     steps = x.reshape(len(x), -1, walkers).mean(axis=2)
     n = steps.shape[1]
     size = max(1, n // _BATCHES)
@@ -178,15 +181,18 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
 def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
     """Return the autocorrelation of each chain at lags 0, 1, ..., shape (chains, steps).
 
-    For an ensemble, it is taken about the mean of all walkers and averaged over the walkers. It is NaN for a chain
-    that does not move.
+    An ensemble's autocorrelation is taken about the mean of all its walkers and averaged over the walkers. The
+    result is NaN for a chain or ensemble that does not move.
     """
     paths = by_walker(x, walkers).astype(float)
     return np.array([_autocorrelation(p) if np.ptp(p) > 0 else np.full(p.shape[1], np.nan) for p in paths])
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the thinning interval that leaves at most `most` draws, equally many of each walker."""
+    """Return the smallest thinning interval that keeps at most `most` draws and samples all walkers equally.
+
+    Draws are in step-major order, so the interval is coprime with `walkers`.
+    """
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -210,12 +216,12 @@ def _ensemble_ess(x: NDArray[np.generic], walkers: int) -> float:
 
 
 def _is_degenerate(x: FloatArray) -> bool:
-    """Return True if there are too few draws, or they are not finite, or all equal."""
+    """Return True if there are fewer than four draws, a draw is not finite, or all draws are equal."""
     return x.shape[1] < _MIN_DRAWS or not np.all(np.isfinite(x)) or bool(np.ptp(x) == 0)
 
 
 def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
-    """Return the largest number of consecutive identical draws, shape (chains, walkers).
+    """Return each chain's or walker's largest number of consecutive identical draws, shape (chains, walkers).
 
     Parameters
     ----------
@@ -301,7 +307,7 @@ def _live_rhat(x: FloatArray, walkers: int) -> float:
 
 
 def _live_ess(x: FloatArray, walkers: int) -> float:
-    """Return the bulk ESS of one parameter, given draws of shape (chains, steps · walkers)."""
+    """Return the bulk ESS of one parameter of a run in progress, from draws of shape (chains, steps · walkers)."""
     steps = x.shape[1] // walkers
     if steps <= MOST_BATCHES or not np.all(np.isfinite(x)) or np.ptp(x) == 0:
         return ess_bulk(x, walkers)
@@ -352,7 +358,7 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
     ----------
     trace : xarray.DataTree
     at : ndarray of int, shape (n,), optional
-        Numbers of steps. Defaults to the `lengths` of the run.
+        Numbers of steps. By default, those of `lengths`.
 
     Returns
     -------
@@ -384,7 +390,7 @@ def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED_OF_RUNNING) -> tupl
     at : ndarray, shape (n,)
         Numbers of steps.
     rhat : ndarray, shape (n, ndim)
-        R-hat over ensembles for an ensemble sampler; NaN for one chain.
+        R-hat over chains, or over ensembles for an ensemble sampler; NaN if there is only one.
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

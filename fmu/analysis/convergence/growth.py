@@ -1,4 +1,4 @@
-"""R-hat and ESS as a run grows, and the cost at which the run first met the convergence criterion."""
+"""R-hat and ESS as a run grows, and the number of solves at which it first met the convergence criterion."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
 
 
 def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatArray:
-    """Return a stored count for each step, summed over chains and walkers, shape (steps,).
+    """Return a per-draw statistic of the trace for each step, summed over chains and walkers, shape (steps,).
 
-    The result is empty if the trace does not store the count.
+    The result is empty if the trace does not store the statistic.
     """
     if not has(trace, group, name):
         return np.zeros(0)
@@ -89,15 +89,13 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 
 
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
-    """Return the number of solves at which a run first met the criterion; NaN if it never did.
-
-    Solves of the warm-up are included.
+    """Return the number of solves, warm-up included, at which a run first met the criterion; NaN if it never did.
 
     Parameters
     ----------
     trace : xarray.DataTree
     grown : Growth, optional
-        ``growth(trace)``, if already computed. Bisection refines its steps to the first draw that meets the
+        ``growth(trace)``, if already computed. Bisection between its steps finds the first draw that meets the
         criterion.
     """
     grown = growth(trace) if grown is None else grown

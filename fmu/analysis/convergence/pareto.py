@@ -22,7 +22,10 @@ _NEGLIGIBLE = 10.0 * np.finfo(float).eps
 
 
 class _Tail(NamedTuple):
-    """The largest weights: their indices in ascending order, shape k, scale, and the largest weight below them."""
+    """The largest weights: their indices in ascending order of weight, Pareto shape k and scale, and the cutoff.
+
+    The cutoff is the largest weight below the tail.
+    """
 
     places: IntArray
     shape: float
@@ -43,7 +46,7 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Return a clause that says the candidate weights' Pareto k is too large; an empty string if it is not."""
+    """Return a clause that says that the candidate weights' Pareto k is too large, or an empty string."""
     if k <= GOOD_K:
         return ""
     return (

@@ -23,7 +23,10 @@ def split_chains(x: AnyArray) -> AnyArray:
 
 
 def normal_scores(x: FloatArray) -> FloatArray:
-    """Return the normal scores Φ⁻¹(rank) of all draws, same shape as `x` (section 4.1); ties share a rank."""
+    """Return the normal scores Φ⁻¹(rank) of all draws, same shape as `x` (section 4.1).
+
+    Equal draws share the mean of their ranks.
+    """
     order = np.argsort(x, axis=None)
     ordered = x.ravel()[order]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))

@@ -89,12 +89,12 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS in a summary, test scores excluded; NaN if one of them is NaN."""
+    """Return the smallest bulk or tail ESS in a summary, without test scores; NaN if any of them is NaN."""
     return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return the largest (R-hat − 1)/(limit − 1) over the parameters, which falls as the run grows longer."""
+    """Return the largest (R-hat − 1)/(limit − 1) over the parameters; above 1, some R-hat exceeds its limit."""
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
@@ -134,7 +134,7 @@ RATIOS = "if one parameter sets the width of others, sample their ratios to that
 
 
 def for_chains_apart(trace: xr.DataTree) -> str:
-    """Return the remedy for chains that do not move, or that are in a region of negligible probability."""
+    """Return the remedy for chains that stay at one point or in a region of negligible probability."""
     if "second_stage_proposals" in trace.attrs:
         return "; the surrogate is too far from the model there: learn it from more solves"
     if is_imported(trace):
@@ -158,7 +158,7 @@ def for_divergences(trace: xr.DataTree) -> str:
 
 
 def for_missed_maximum(trace: xr.DataTree) -> str:
-    """Return the remedy for a maximum that no chain visited, or that chains cannot enter and leave."""
+    """Return the remedy for a maximum that no chain visited, or between which and the others no chain moves."""
     if (
         trace.attrs["sampler"] != "tempering"
         and not is_imported(trace)
@@ -216,6 +216,6 @@ def for_too_few_draws(
 
 
 def in_two_digits(draws: float) -> int:
-    """Round a number of draws up to two significant digits: 3327 becomes 3400."""
+    """Return a number of draws rounded up to two significant digits: 3400 for 3327."""
     unit = 10 ** max(0, math.floor(math.log10(draws)) - 1)
     return math.ceil(draws / unit) * unit

@@ -1,4 +1,4 @@
-"""Checks of whether the model fits the data: each check, the misfit that it could have revealed, and the verdict.
+"""Checks of whether the model fits the data, the misfit that each check could have revealed, and the verdict.
 
 Reading order: check, checks, model_fit.
 """

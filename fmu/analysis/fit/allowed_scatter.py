@@ -1,4 +1,4 @@
-"""Inferred model discrepancy, where parameters may scatter between modes, and when to allow for it."""
+"""Describe an inferred model discrepancy (scatter of parameters between modes), and say when to allow for one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEFT_TO_PRIOR = ": the data do not inform it and it keeps its prior, as if there
 
 
 def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return a sentence on the size of each inferred discrepancy; empty if the model has none."""
+    """Return a sentence on the size of each discrepancy, inferred or given; an empty tuple if there is none."""
     problem = problem_of(trace)
     likelihood: Mapping[str, Any] = problem["likelihood"]
     noise, said = list(likelihood.get("noise", ())), []
@@ -51,7 +51,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on how to allow for the misfit, and on the effect of this; empty if no remedy is known."""
+    """Return sentences on how to allow for the misfit and what effect this has; empty if no remedy is known."""
     responses = problem_of(trace).get("likelihood", {}).get("responses")
     if responses:
         return "" if "discrepancy" in responses[0] else REMEDY_OF_FRFS
@@ -73,7 +73,7 @@ def _may_have_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a sentence on the size of each modal error: of the frequencies, and of the mode shapes."""
+    """Return a clause on the size of the model's frequency error, and one on its shape error, if it has them."""
     found = []
     for key, what in (("sd", "relative error of the frequencies"), ("shape_sd", "error of the shapes")):
         if key not in settings:
@@ -89,7 +89,7 @@ def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list
 
 
 def _describe_correlation(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a list with a clause on the inferred correlation of the discrepancy between modes, if any."""
+    """Return a list with a clause on the discrepancy's correlation between modes; empty if it is not inferred."""
     number = settings.get("correlation", {}).get("inferred", -1)
     if number < 0:
         return []

@@ -1,14 +1,14 @@
 """Possible causes of differences between tests that a model does not include: order, covariates and groups.
 
 A test's score is the distance of a parameter's value in this test from its expected value, in standard deviations.
-A permutation test compares the scores with the same scores in random orders (`fmu.analysis.permutation`). The
-statistics are, for each parameter:
+A permutation test compares statistics of the scores with those of the same scores in random orders
+(`fmu.analysis.permutation`). The statistics of each parameter are:
 
 - correlation with the order of the tests, the fraction of the variance in two slow waves, and the lag-1
   autocorrelation;
 - correlation with each covariate on which the parameter does not depend in the model;
-- for each covariate, the largest fraction of the variance about a straight line that a bend explains, wherever the
-  bend is. It reveals a nonlinear law, even if the model has a slope with respect to the covariate;
+- for each covariate, the largest fraction of the variance about a straight line that a bend at any place explains.
+  It reveals a nonlinear law, even if the model has a slope with respect to the covariate;
 - the fraction of the variance between groups.
 
 All statistics share one significance level, and the search for the bend is part of the test. With five tests or
@@ -57,9 +57,10 @@ class Cause(NamedTuple):
     statistic : Statistics
         Function that computes the statistic for sequences of scores.
     improbability : callable
-        Function from the statistic and the number of tests to −log of its probability for normal scores.
+        Function that returns −log of the tail probability of a statistic under Gaussian scores, given the
+        statistic and the number of tests.
     words : callable
-        Function from a parameter's index and its statistic to a description of the effect.
+        Function that describes the effect in words, given a parameter's index and its statistic.
     free : ndarray of bool, shape (n_parameters,)
         Mask of the parameters for which the model does not include this cause.
     covers : bool
@@ -81,9 +82,10 @@ class Effects(NamedTuple):
     ----------
     causes : tuple of Cause
     values, p : ndarray, shape (n_parameters, n_causes)
-        The statistics, and their p-values, adjusted for the number of parameters and causes.
+        Statistics, and p-values adjusted for the numbers of parameters and causes.
     sizes : ndarray, shape (n_parameters, n_causes)
-        −log of each statistic's probability for normal scores.
+        −log of the probability that Gaussian scores give a statistic at least this large, a common effect-size
+        scale.
     """
 
     causes: tuple[Cause, ...]
@@ -92,9 +94,10 @@ class Effects(NamedTuple):
     sizes: FloatArray
 
     def in_words(self, k: int, limit: float) -> list[str]:
-        """Return descriptions of the effects on parameter `k` with p below `limit`, the least probable first.
+        """Return descriptions of the effects on parameter `k` with p below `limit`, the largest effect size first.
 
-        Only one of several effects with the same `Cause.of` is described.
+        At most one effect per `Cause.of` is described. Effects of order are omitted if a covariate or group also
+        has an effect, because covariates and groups often change with the order.
         """
         best: dict[str, int] = {}
         for j in np.argsort(-self.sizes[k], kind="stable").tolist():
@@ -106,7 +109,7 @@ class Effects(NamedTuple):
         return [self.causes[j].words(k, float(self.values[k, j])) for j in best.values()]
 
     def strongest_in_words(self, k: int) -> str:
-        """Return a description of the least probable effect on parameter `k`."""
+        """Return a description of the effect on parameter `k` with the largest effect size."""
         j = int(np.argmax(self.sizes[k]))
         return self.causes[j].words(k, float(self.values[k, j]))
 
@@ -164,7 +167,10 @@ def find_effects(
 
 
 def _of_order(z: FloatArray, tests: Sequence[str]) -> list[Cause]:
-    """Return the causes that concern the order of the tests."""
+    """Return the possible causes related to the order of the tests: trend, slow waves, lag-1 autocorrelation.
+
+    `z` contains the scores, (n_tests, n_parameters).
+    """
 
     def most(k: int) -> str:
         step = np.cumsum(z[:, k])[:-1] ** 2 / (np.arange(1.0, len(z)) * np.arange(len(z) - 1.0, 0.0, -1.0))
@@ -185,7 +191,10 @@ def _of_order(z: FloatArray, tests: Sequence[str]) -> list[Cause]:
 
 
 def _of_covariate(z: FloatArray, name: str, x: FloatArray, free: BoolArray) -> list[Cause]:
-    """Return the causes that concern a covariate x (n_tests,); `free` marks parameters without a slope in x."""
+    """Return the possible causes related to a covariate x (n_tests,): a slope, and a bend if x has enough values.
+
+    `free` (n_parameters,) marks the parameters that have no slope in x in the model.
+    """
     known = np.where(np.isnan(x), np.nanmean(x), x)
     line = Cause(
         name,
@@ -213,7 +222,7 @@ def _linear(cause: str, r: float) -> str:
 
 
 def _bent(name: str, x: FloatArray, z: FloatArray, place: float, free: bool) -> str:
-    """Describe how the scores z depend on a covariate x with a bend at `place`."""
+    """Describe in words how a parameter's scores z (n_tests,) depend on a covariate x, with a bend at `place`."""
     known = ~np.isnan(x)
     columns = np.stack(
         [np.ones(known.sum()), np.minimum(x[known] - place, 0.0), np.maximum(x[known] - place, 0.0)]

@@ -67,7 +67,7 @@ class Check:
 
 
 def level_of(checks: Sequence[Check]) -> float:
-    """Return the largest probability with which a correct model fails any of the checks."""
+    """Return an upper bound on the probability that a correct model fails any of the checks."""
     return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 

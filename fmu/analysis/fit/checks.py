@@ -91,7 +91,7 @@ _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the G
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return all checks of a run; empty for the modal residual, which is not a measured quantity."""
+    """Return all checks of a run; empty if it uses the modal residual, which is not a measured quantity."""
     of_each, of_laws = _levels(trace)
     found = [check for kind in _kinds(trace) for check in kind(of_each)]
     found += population_checks(trace, of_laws) if _has_laws(trace) else []
@@ -99,7 +99,7 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def contradicted_laws(trace: xr.DataTree) -> list[str]:
-    """Describe each dependence on order, covariate or group that contradicts a parameter's law."""
+    """Describe each dependence on order, covariate or group that contradicts a parameter's law, one text each."""
     if not _has_laws(trace):
         return []
     return [check.dependence for check in population_checks(trace, _levels(trace)[1]) if check.dependence]
@@ -111,9 +111,9 @@ def _has_laws(trace: xr.DataTree) -> bool:
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
-    """Return the kinds of check that apply to a run, each as a function of its level.
+    """Return the kinds of check that apply to a run, except checks of parameter laws.
 
-    Checks of parameter laws are not included.
+    Each is a function that takes the kind's significance level and returns its checks.
     """
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
@@ -137,7 +137,7 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
 
 
 def _levels(trace: xr.DataTree) -> tuple[float, float]:
-    """Return the significance levels: for each kind in `_kinds`, and for checks of parameter laws."""
+    """Return two significance levels: one for each kind of check in `_kinds`, one for checks of parameter laws."""
     n = len(_kinds(trace))
     if has(trace, POPULATIONS, "score"):
         return (WITH_POPULATIONS - OF_POPULATIONS) / max(n, 1), OF_POPULATIONS
@@ -146,9 +146,9 @@ def _levels(trace: xr.DataTree) -> tuple[float, float]:
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return a table that predicts each mode from the other modes, one row per mode.
+    """Return a table with a prediction of each mode from the other modes, one row per mode.
 
-    Unknown predictions are NaN. Return None if the run has no frequencies, or if they are not data.
+    Unknown predictions are NaN. The result is None if the run has no frequencies, or if they are not data.
     """
     if not has(trace, "posterior_predictive", "frequency") or not modes_are_data(trace):
         return None
@@ -221,14 +221,17 @@ def _limits(row: pd.Series, level: float) -> tuple[float, float]:
 
 
 def _how(trace: xr.DataTree, mode: str) -> str:
-    """Return `` (the mean of 5 tests)`` for a mode measured in several tests, otherwise an empty string."""
+    """Return how a mode was measured, as in `` (the mean of 5 tests)``; an empty string for a single test."""
     tests = measured_tests(trace)
     at = [str(label) == mode for label in trace["observed_data"]["mode"].to_numpy()]
     return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
 
 
 def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
-    """Return the check of a mode by its residuals after updating with this mode."""
+    """Return the check of a mode's residuals after updating with this mode, used if the mode has no prediction.
+
+    If the mode has no residuals, the check's p is NaN.
+    """
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"
     if not group.sizes["quantity"] or mode not in map(str, group["mode"].to_numpy()):
@@ -243,9 +246,9 @@ def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float)
 def _judge_squares(
     kind: str, of: str, squares: FloatArray, freedom: int, limit: float, against: str, parts: str = ""
 ) -> tuple[Check, float]:
-    """Check Σ r² at the draws; return the `Check`, and the factor on all residuals at which it would fail.
+    """Check Σ r² at the draws; return the `Check` and the factor on all residuals at which it would fail.
 
-    `against` begins the check's sentence, and `parts` is added to the description of the sum.
+    `against` is the beginning of the check's sentence, and `parts` is appended to the description of Σ r².
     """
     p, larger = float(chdtrc(freedom, squares).mean()), _larger(squares, freedom, limit)
     found = f"Σ r² = {significant(float(squares.mean()))}{parts}, {freedom} expected"
@@ -271,7 +274,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _tests(trace: xr.DataTree, level: float) -> list[Check]:
-    """Check for each test whether the other tests contradict it; return one `Check` per test."""
+    """Check whether each test is consistent with the other tests; return one `Check` per test."""
     group, every = trace[GROUP].to_dataset(), trace["observed_data"].to_dataset()["of_test"]
     squares = group["squares"].sum("quantity")
     of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())
@@ -293,10 +296,11 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Return the reason why the check of residuals tests nothing, or an empty string if it tests the model.
+    """Return why the check of residuals tests nothing, or an empty string if it tests the model.
 
-    The check would fail only for residuals `larger` times as large. With a degree of freedom left it still tests
-    the model, because the parameters cannot fit arbitrary errors, even if they fit the present errors well.
+    It tests nothing if it fails only for residuals `larger` times as large, with `larger` above a limit, and no
+    degree of freedom is left. With a degree of freedom left, the parameters cannot fit arbitrary errors, even if
+    they fit the present errors well.
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > effective_parameters(trace):
         return ""
@@ -315,7 +319,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Check whether each inferred standard deviation agrees with its prior; return one `Check` each."""
+    """Check whether each inferred standard deviation is consistent with its prior; return one `Check` for each."""
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -351,9 +355,9 @@ def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list
 
 
 def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
-    """Format `factor` times the noise of the first mode's frequency, in Hz and in per cent.
+    """Format `factor` times the noise of the first mode's frequency, in Hz and as a percentage.
 
-    The text is empty if the noise is not that of frequencies.
+    The text is empty if the noise is not frequency noise.
     """
     if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
         return ""
@@ -364,7 +368,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return a clause that the noise was free to grow, if it may hide a misfit; otherwise an empty string."""
+    """Return a clause that says the prior let the noise grow enough to hide a misfit; empty if it did not."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE
@@ -377,7 +381,10 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:
-    """Check the MAC of each measured mode shape; empty list if the residuals include the shape errors."""
+    """Check the MAC of each measured mode shape; return one `Check` per mode.
+
+    The list is empty if the residuals include the shape errors.
+    """
     if "shapes" in trace[GROUP]["quantity"].to_numpy():
         return []
     sentences = iter(shape_warnings(trace))

@@ -1,4 +1,4 @@
-"""Warnings about measured standard deviations that are far below the misfit of a nearly correct model."""
+"""Warn if measured standard deviations are far smaller than the misfit of a nearly correct model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measured and computed mode shapes after a run: the MAC of each mode, and the sensors that disagree."""
+"""Compare measured and computed mode shapes after a run: the MAC of each mode, and the sensors that disagree."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ MOST_TESTS = 5
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
-    """Return the MAC with a single test's measured shapes (state, reference_mode, mode), or None without them."""
+    """Return the MAC between a single test's mode shapes and the computed ones, or None if none were measured.
+
+    The dimensions are (state, reference_mode, mode).
+    """
     if not has(trace, GROUP, "mac"):
         return None
     found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
@@ -28,9 +31,9 @@ def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
 
 
 def paired_mac(trace: xr.DataTree) -> list[tuple[str, float, float]]:
-    """Return each measured mode with its MAC to the measured shape, before and after updating.
+    """Return, for each measured mode shape, the mode's name and its MAC before and after updating.
 
-    The list is empty without measured shapes. The modes of several tests are named ``"test: mode"``.
+    The list is empty if no shapes were measured. Modes of several tests are named ``"test: mode"``.
     """
     alike = measured_mac(trace)
     if alike is not None:
@@ -63,9 +66,9 @@ def below(mac: float) -> str:
 
 
 def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
-    """Compare each test's mode shapes with the model in one state; return the comparisons by test name.
+    """Compare each test's mode shapes with the model in one state; return the comparisons keyed by test name.
 
-    The name of a single test is an empty string. The dict is empty without measured shapes.
+    A single test has the key ``""``. The dict is empty if no shapes were measured.
     """
     if not has(trace, GROUP):
         return {}
@@ -90,9 +93,9 @@ def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
 
 
 def sensor_warnings(trace: xr.DataTree) -> list[str]:
-    """Return warnings about sensors of several tests at the posterior mean, for at most `MOST_TESTS` tests.
+    """Return warnings about suspect sensors in repeated tests, for at most `MOST_TESTS` tests.
 
-    The sensors of a single test are described in a section of its report.
+    The model is taken at the posterior mean. Sensors of a single test are described in its report instead.
     """
     found = {name: one.doubts_of_sensors() for name, one in correlations_of(trace, MEAN).items() if name}
     concerned = [name for name, doubts in found.items() if doubts]

@@ -113,12 +113,12 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """Sentences of the failed checks: first those that name a cause, then the least probable ones."""
+        """Sentences of the failed checks: first those that name a cause, then the others from least to most probable."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
     def said(self) -> tuple[str, ...]:
-        """Sentences of the failed checks, followed by how the discrepancy is, or could be, allowed for."""
+        """Sentences of the failed checks, and on how the discrepancy is, or could be, allowed for."""
         return (*self.against, *self._allowed)
 
     @property
@@ -157,14 +157,14 @@ class ModelFit:
 
     @property
     def _allowed(self) -> tuple[str, ...]:
-        """Sentences on the scatter that allows for the model discrepancy, or on how to allow for it."""
+        """Sentences on the scatter that allows for the model discrepancy or, without scatter, on how to add it."""
         if self.verdict == CONTRADICTED and self.remedy:
             return (f"{self.remedy}.",)
         return tuple(f"{sentence}." for sentence in self.scatter)
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
-        """Sentences on the checks that passed: which of them could have failed, and which test nothing."""
+        """Sentences that say which of the passed checks could have failed, and which of them test nothing."""
         said = []
         for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
             telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.below)]

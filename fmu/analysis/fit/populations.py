@@ -108,14 +108,14 @@ def population_group(
 
 
 def _scores_of(one: Drawn, theta: FloatArray) -> FloatArray:
-    """Return the standard normal scores of the tests that have a score, (n, n_scored), at theta."""
+    """Return the standard normal scores at `theta`, shape (n, n_scored), of the tests that have a score."""
     return one.population_scores(theta)[0][:, one.scored]
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
     """Check the law of each parameter; return one `Check` per parameter, or an empty list for a single test.
 
-    A parameter is tested if it scatters, or if the model's law gives its value in every test.
+    A parameter is checked if it scatters, or if the model's law gives its value in every test.
     """
     tests, columns, names = problem_of(trace)["tests"], [], []
     populations: list[str] = []
@@ -223,7 +223,7 @@ def _explained_by_others(
 
 
 def _regress_out(scores: FloatArray, k: int) -> FloatArray:
-    """Regress the scores of parameter `k` out of all other parameters' scores, (n_tests, n_parameters)."""
+    """Return the scores (n_tests, n_parameters), with parameter `k`'s scores regressed out of the others."""
     z = scores - np.nanmean(scores, axis=0)
     by = np.nan_to_num(z[:, k])
     slopes = np.nansum(z * by[:, None], axis=0) / np.sum(by**2)
@@ -266,7 +266,7 @@ def effective_parameters(trace: xr.DataTree) -> int:
 
 
 class _Farthest(NamedTuple):
-    """The test farthest from the mean: its index, its distance in standard deviations, and its p-value."""
+    """The test farthest from the population mean: its index, its score, and the p-value of Grubbs's test."""
 
     test: int
     distance: float

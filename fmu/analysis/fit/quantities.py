@@ -1,4 +1,4 @@
-"""Checks of a model against weighed masses and static displacements."""
+"""Checks of a model against measured masses and static displacements."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def quantity_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Check whether the updated model reproduces each measured mass or displacement; one `Check` each."""
+    """Check whether the updated model reproduces each measured mass or displacement; return a `Check` for each."""
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])
     for label in map(str, group["datum"].to_numpy()):

@@ -34,8 +34,8 @@ _IN_EACH_TEST = ("mean", "test")
 def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.Dataset]:
     """Return the trace group ``residual_scores`` in a dict.
 
-    The dict is empty if all parameters scatter or have a separate value in each test, or if derivatives would take
-    further calls of a user's function.
+    The dict is empty if every parameter scatters or has a separate value in each test, or if derivatives would
+    need further calls of a user's function.
 
     Parameters
     ----------
@@ -57,7 +57,10 @@ def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.
 
 
 def _scores(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return the scores at theta (ndim,), (n_tests, n_structural); NaN if a parameter does not affect a test."""
+    """Return each test's score for each structural parameter at theta (ndim,), shape (n_tests, n_structural).
+
+    A score is NaN if the parameter does not affect the test.
+    """
     likelihood, every = problem.likelihood, problem.layout.of_model(theta[None])
     seen, noise = likelihood.observed(every, True), every[:, problem.model.n_parameters :]
     gradient = np.zeros((problem.data.n_modes, len(problem.layout.structural)))

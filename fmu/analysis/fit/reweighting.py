@@ -1,4 +1,4 @@
-"""Estimate from draws without model discrepancy how much the parameters would scatter, and the effect of this."""
+"""Estimate, from draws without model discrepancy, how much the parameters would scatter, and its effect."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ TAU = np.linspace(0.0, 5.0 * PRIOR_SD, 201)[1:]
 
 
 class Estimate(NamedTuple):
-    """The scatter that a discrepancy would have, and its effect on the parameters.
+    """The scatter that a model with discrepancy would have, and its effect on the parameters.
 
     Attributes
     ----------
     by_tau : ndarray, shape (n_tau,)
         Posterior probability of each scatter τ in `TAU`.
     wider : ndarray, shape (ndim,)
-        Each parameter's standard deviation with scatter divided by its value without.
+        Each parameter's standard deviation with scatter, divided by its standard deviation without scatter.
     """
 
     by_tau: FloatArray
@@ -51,7 +51,7 @@ class Estimate(NamedTuple):
 
 
 def estimated_scatter(trace: xr.DataTree) -> str:
-    """Return a sentence with the estimated scatter τ and the standard deviations with scatter; empty if unknown.
+    """Return a sentence on the estimated scatter τ and how it widens the posterior; empty if it is unknown.
 
     The draws are reweighted (`by_draws`). If they do not cover the wider posterior with scatter, the sentence says
     so, and the estimate comes from the linearised model (`by_linearised_model`).
@@ -107,7 +107,7 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
 
 
 def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
-    """Estimate the scatter from a model linearised at the maximum, or return None if that is unknown.
+    """Estimate the scatter from a model linearised at the maximum, or return None if the maximum is unknown.
 
     The priors are taken as Gaussian. Let the parameters x, in prior standard deviations, have the prior N(x₀, I),
     and r = r* + S (x − x*). Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the
@@ -138,7 +138,18 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
 
 
 class _Linearised(NamedTuple):
-    """Residual derivatives S (n_modes, p) in prior sds (p,), g (n_modes,), and residuals at the prior mean."""
+    """Model linearised at the maximum.
+
+    Attributes
+    ----------
+    S : ndarray, shape (n_modes, p)
+        Residual derivatives with respect to the parameters in prior standard deviations.
+    prior_sd : ndarray, shape (p,)
+    g : ndarray, shape (n_modes,)
+        See `by_draws`.
+    expected : ndarray, shape (n_modes,), or None
+        Linearised residuals at the prior mean; None if the maximum is unknown.
+    """
 
     S: FloatArray
     prior_sd: FloatArray
@@ -174,9 +185,9 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
 
 
 def _log_ratios(squares: FloatArray, g: FloatArray) -> FloatArray:
-    """Return log p(τ) + log of the likelihood with scatter τ over that without, (n, n_tau).
+    """Return log p(τ) plus the log ratio of the likelihoods with and without scatter τ, shape (n, n_tau).
 
-    `squares` (n, n_modes) are squared residuals; the scatter multiplies their variances by 1 + τ² g.
+    `squares` (n, n_modes) are squared residuals. Scatter multiplies their variances by 1 + τ² g.
     """
     inflation = TAU[:, None] ** 2 * g
     prior = -0.5 * (TAU / PRIOR_SD) ** 2 + np.log(np.sqrt(2.0 / np.pi) / PRIOR_SD * (TAU[1] - TAU[0]))

@@ -19,7 +19,7 @@ _DRAWS = 4
 
 
 def certify_frfs(trace: xr.DataTree, problem: UpdatingProblem, draws: int = _DRAWS) -> FRFCertificate | None:
-    """Return the FRF errors of the reduced model at some draws, or None without FRFs or a reduced model.
+    """Return the reduced model's FRF errors at some draws, or None if there are no FRFs or no reduced model.
 
     Parameters
     ----------
