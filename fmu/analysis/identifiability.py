@@ -1,4 +1,4 @@
-"""Directions in parameter space that the measured modes constrain, with the model linearised at a point."""
+"""Find the directions in parameter space that the measured modes constrain, with a model linearised at a point."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Identifiability:
 
     @property
     def directions(self) -> FloatArray:
-        """Orthonormal directions in prior standard deviations, one per row, shape (ndim, ndim)."""
+        """Orthonormal directions, one per row, in units of the prior standard deviations, shape (ndim, ndim)."""
         return self._svd[1]
 
     @property
@@ -113,23 +113,23 @@ class Identifiability:
 
     @property
     def fisher_information(self) -> FloatArray:
-        """Fisher information JᵀΣ⁻¹J, shape (ndim, ndim); units are 1/(SI units of the two parameters)."""
+        """Fisher information JᵀΣ⁻¹J, shape (ndim, ndim), in 1/(SI units of the two parameters)."""
         information: FloatArray = (self.sensitivity.T @ self.sensitivity) / np.outer(self.prior_sd, self.prior_sd)
         return information
 
     @property
     def remaining_sd(self) -> FloatArray:
-        """Each parameter's posterior standard deviation divided by its prior one, linearised, shape (ndim,)."""
+        """Each parameter's linearised posterior standard deviation over its prior one, shape (ndim,)."""
         return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
 
     @property
     def covariance(self) -> FloatArray:
-        """Linearised posterior covariance (I + SᵀS)⁻¹ in prior standard deviations, shape (ndim, ndim)."""
+        """Linearised posterior covariance (I + SᵀS)⁻¹, in units of the prior standard deviations, (ndim, ndim)."""
         V, s = self.directions, self.singular_values
         return np.asarray((V.T / (1.0 + s**2)) @ V)
 
     def table(self) -> pd.DataFrame:
-        """Return a table with one row per direction: ``singular_value``, ``remaining_sd`` and its components."""
+        """Return a table with one row per direction: ``singular_value``, ``remaining_sd`` and the components."""
         s = self.singular_values
         names = distinct(["singular_value", "remaining_sd", *self.names])
         columns = dict(zip(names, (s, 1.0 / np.sqrt(1.0 + s**2), *self.directions.T), strict=True))
@@ -213,10 +213,10 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
 
 
 def _integrate_out(sensitivity: FloatArray, by_scores: FloatArray) -> FloatArray:
-    """Rescale sensitivities to the combined standard deviations of measurement errors and scatter between tests.
+    """Rescale sensitivities so that the test-to-test scatter counts as part of the measurement error.
 
-    The scatter comes from the test scores; `by_scores` are the derivatives of the measured quantities with respect
-    to them.
+    The scatter comes from the test scores. `by_scores` contains the derivatives of the measured quantities with
+    respect to them.
     """
     if not by_scores.size:
         return sensitivity
@@ -229,7 +229,7 @@ def with_identifiability(
 ) -> xr.DataTree:
     """Return the trace with the identifiability at the starting point and, if known, at the highest maximum.
 
-    A point at which the model has no derivative is skipped, so that the draws are not lost.
+    A point at which the model has no derivative is skipped: an error here would lose the draws.
     """
     import xarray as xr
 
@@ -258,7 +258,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return the results stored by `with_identifiability`, by point name; empty if there are none."""
+    """Return the results stored by `with_identifiability`, keyed by point name; empty if there are none."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()
@@ -283,6 +283,6 @@ def truncated_sd(parameter: Parameter) -> float:
 
 @cache
 def _legendre_nodes() -> tuple[FloatArray, FloatArray]:
-    """Return the quadrature nodes on [−1, 1] and their weights, cached because computing them takes 0.1 s."""
+    """Return the Gauss–Legendre nodes on [−1, 1] and their weights, cached because computing them takes 0.1 s."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     return node, weight

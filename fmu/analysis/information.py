@@ -1,4 +1,4 @@
-"""Parameters and combinations of parameters that the data inform, judged by the draws of a run."""
+"""Find the parameters, and combinations of parameters, that the data inform, judged by the draws of a run."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Information:
         return said + [f"{one.replace('the combination', 'The combination', 1)}." for one in self.warnings()]
 
     def table(self) -> pd.DataFrame:
-        """Return a table of the parameters: ``contraction``, ``of_logarithm``, ``informed``, ``determined_by``."""
+        """Return a table of ``contraction``, ``of_logarithm``, ``informed`` and ``determined_by`` by parameter."""
         columns = {
             "contraction": self.contraction,
             "of_logarithm": self.of_logarithm,
@@ -201,7 +201,7 @@ def information(trace: xr.DataTree) -> Information | None:
 
 
 def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> bool:
-    """Return True if the data informed a direction; `x` and `prior` (n, ndim) are in prior standard deviations."""
+    """Return True if the data informed a direction. `x` and `prior` (n, ndim) are in prior standard deviations."""
     along = x @ direction
     return float(np.var(along, ddof=1)) <= 1.0 - CONTRACTED or (
         _entropy_sd(along, prior @ direction) < _LEAST_BY_ENTROPY
@@ -209,10 +209,10 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 
 
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
-    """Return a sentence on the two parameters that the data separate least; empty if the data confuse no two.
+    """Return a sentence on the two parameters that the data separate least; empty if the data confuse none.
 
-    It is based on the draws, by the criterion of `information`, or on the linearised model if the trace has no
-    draws from the prior.
+    It is based on the draws, by the criterion of `information`. If the trace has no draws from the prior, it is
+    based on the linearised model.
     """
     if information(trace) is None:
         pair = hardest_pair(linearised, linearised.covariance)
@@ -224,9 +224,9 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
 
 
 def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
-    """Return the combinations that the data determine, by set of parameters that they cannot separate.
+    """Return the combination that the data determine for each set of parameters that they cannot separate.
 
-    The sets follow from the linearised model stored in the trace.
+    The sets are the dict's keys and follow from the linearised model stored in the trace.
     """
     kept = kept_identifiability(trace)
     if not kept:
@@ -235,10 +235,10 @@ def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
 
 
 def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
-    """Return the draws' ratio of posterior to prior standard deviation along each direction, shape (n,).
+    """Return the ratio of posterior to prior standard deviation along each linearised direction, shape (n,).
 
-    The directions are those of the linearised model. The result corresponds to ``remaining_sd`` of its table, but
-    without linearisation.
+    The ratio comes from the draws. It corresponds to ``remaining_sd`` in the linearised model's table, but without
+    linearisation.
     """
     n = len(linearised.names)
     x = parameter_draws(trace).reshape(-1, len(parameter_names(trace)))[:, :n]
@@ -296,13 +296,13 @@ def compared_with_draws(
 
 
 def not_informed(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the names of the parameters that the data did not inform; empty without draws from the prior."""
+    """Return the names of the parameters that the data did not inform; empty if the trace has no prior draws."""
     found = information(trace)
     return () if found is None else found.not_informed
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a trace's `Information.warnings`; empty if the trace has no draws from the prior."""
+    """Return a trace's `Information.warnings`, or an empty list if the trace has no draws from the prior."""
     found = information(trace)
     return [] if found is None else found.warnings()
 
@@ -325,7 +325,7 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
 
 
 def _entropy_sd(x: FloatArray, prior: FloatArray) -> float:
-    """Return the ratio of exp(entropy) between `x` and the prior draws, from histograms.
+    """Return exp(entropy of `x`) divided by exp(entropy of the prior draws), with entropies from histograms.
 
     For two distributions of the same shape this is the ratio of their standard deviations.
     """

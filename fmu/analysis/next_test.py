@@ -142,7 +142,7 @@ def require_population(problem: UpdatingProblem) -> None:
 
 
 def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
-    """Return the index of the earlier test whose configuration and errors a new test has.
+    """Return the index of the earlier test whose configuration and errors apply to a new test.
 
     Raise TestsError if no test fits.
     """
@@ -203,12 +203,12 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
 
 
 def _times(problem: UpdatingProblem) -> set[str]:
-    """Return the names of the covariates that contain the times of tests with values correlated in time."""
+    """Return the names of covariates that give the test times, which correlation in time needs."""
     return set() if problem.layout.in_time is None else problem.layout.in_time.times
 
 
 def _without_failures(drawn: NextTest) -> NextTest:
-    """Drop the draws at which the model could not be solved."""
+    """Return the simulated tests without the draws at which the model could not be solved."""
     solved = np.isfinite(drawn.measured).all(axis=1)
     return NextTest(*(part[solved] for part in drawn))
 
@@ -266,7 +266,7 @@ class _Departure(NamedTuple):
 
 
 def _departure(scores: FloatArray, j: int, value: FloatArray, y: FloatArray, measured: FloatArray) -> _Departure:
-    """Return tⱼ and the relative change of the parameter with the scores in column `j`; see `predict_tests`."""
+    """Return tⱼ and the relative change of the parameter whose scores are in column `j`; see `predict_tests`."""
     z = scores - scores.mean(axis=0)
     scale = y.std(axis=0)
     off, r = (y - y.mean(axis=0)) / scale, (measured - y.mean(axis=0)) / scale

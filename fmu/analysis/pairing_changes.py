@@ -1,4 +1,4 @@
-"""Changes in how computed and measured modes are paired over the draws of a run."""
+"""Count how often the pairing of computed and measured modes changes over the draws of a run."""
 
 from __future__ import annotations
 
@@ -213,12 +213,12 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
-    """Return the trace with the paired computed modes added; unchanged if the model is not a structure.
+    """Return the trace with a group that stores the paired computed modes.
 
-    The group has ``block`` and ``rank`` (sample, mode), small integers, at about `MOST_DRAWS` draws given by
-    ``chain`` and ``draw``; and ``gap``, the relative distance in frequency to the nearest other computed mode. If
-    the pairing is constant by construction, only one draw is stored, without the gap, at the cost of one solve.
-    Otherwise each distinct draw costs two solves.
+    The trace is unchanged if the model is not a structure. The group has ``block`` and ``rank`` (sample, mode),
+    small integers, at about `MOST_DRAWS` draws given by ``chain`` and ``draw``; and ``gap``, the relative distance
+    in frequency to the nearest other computed mode. If the pairing is constant by construction, only one draw is
+    stored, without the gap, at the cost of one solve. Otherwise each distinct draw costs two solves.
     """
     import xarray as xr
 
@@ -253,7 +253,7 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
 
 
 def nearest_other(structure: Any, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
-    """Return each mode's relative distance in frequency to the nearest other mode, shape (n, n_modes).
+    """Return the relative distance in frequency from each mode to the nearest other computed mode, (n, n_modes).
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Permutation tests: statistics of a sequence, compared with the same statistics in random orders.
+"""Permutation tests, which compare statistics of a sequence with the same statistics in random orders.
 
-The sequences are frequencies, or test scores in units of their standard deviation. Statistics of different kinds
-are put on a common scale by the probability that they would have for normal values (`improbability`). The random
-orders then make the test exact for any distribution of the values.
+The sequences are frequencies, or test scores in units of their standard deviation. Different statistics are put on
+a common scale: minus the log of their tail probability under Gaussian values (`improbability`). The random orders
+then make the test exact for any distribution of the values.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ type Statistics = Callable[[FloatArray, BoolArray], FloatArray]
 
 
 def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) -> FloatArray:
-    """Return statistics of a sequence in its own order, then in random orders, shape (1 + n_orders, …).
+    """Return statistics of a sequence, first in its own order and then in random orders, (1 + n_orders, …).
 
     The same sequence always gives the same result.
 
@@ -48,7 +48,7 @@ def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) 
 
 
 def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> FloatArray:
-    """Return the p-values of the statistics under random order, adjusted for their number, shape (k,).
+    """Return the p-value of each statistic under random order, adjusted for the number of statistics, (k,).
 
     Each statistic is standardised by its mean and standard deviation over random orders and compared with the
     largest of all statistics in each random order (Westfall & Young 1993, *Resampling-based multiple testing*,
@@ -71,7 +71,9 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 
 
 def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
-    """Return the probability that a random order's largest statistic is at least as large as each one, (k,).
+    """Return the p-value of each statistic under random order, adjusted for the number of statistics, (k,).
+
+    It is the fraction of orders, the actual one included, whose largest statistic is at least as large.
 
     Parameters
     ----------
@@ -84,29 +86,29 @@ def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
 
 
 def improbability(r_squared: FloatArray, n: FloatArray, k: int = 1) -> FloatArray:
-    """Return −log P(R² ≥ r²) for the squared multiple correlation R² of n normal values with k quantities.
+    """Return −log P(R² ≥ r²), where R² is the squared multiple correlation of n Gaussian values with k regressors.
 
-    This puts different statistics on a common scale, whatever the distribution of the values. R² follows a beta
-    distribution with parameters k/2 and (n − 1 − k)/2.
+    This common effect-size scale puts different statistics side by side. R² follows a beta distribution with
+    parameters k/2 and (n − 1 − k)/2.
     """
     left = np.maximum(0.5 * (n - 1.0 - k), 0.5)
     return np.asarray(-np.log(np.maximum(betainc(left, 0.5 * k, np.clip(1.0 - r_squared, 0.0, 1.0)), _TINY)))
 
 
 def improbability_of_lag_one(r: FloatArray, n: FloatArray) -> FloatArray:
-    """Return −log P(R ≥ r) for the lag-1 autocorrelation of n independent values, which is nearly N(−1/n, 1/n)."""
+    """Return −log P(R ≥ r) for the lag-1 autocorrelation R of n independent values, approximately N(−1/n, 1/n)."""
     return np.asarray(-log_ndtr(-(r + 1.0 / n) * np.sqrt(n)))
 
 
 def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return each column's lag-1 autocorrelation in centred sequences z (n_orders, n, m), shape (n_orders, m)."""
+    """Return the lag-1 autocorrelation of each column, (n_orders, m), of centred sequences z (n_orders, n, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     pairs = np.maximum(np.sum(present[:, 1:] & present[:, :-1], axis=1), 1)
     return np.asarray(np.sum(z[:, 1:] * z[:, :-1], axis=1) / square * (n - 1) / pairs)
 
 
 def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Correlate each column of centred sequences z (n_orders, n, m) with x (n,); return shape (n_orders, m)."""
+    """Return each column's correlation with x (n,), (n_orders, m), in centred sequences z (n_orders, n, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     t = np.where(present, x[:, None], 0.0)
     t = np.where(present, t - (t.sum(axis=1) / n)[:, None], 0.0)
@@ -114,9 +116,9 @@ def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatA
 
 
 def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the fraction of each centred sequence's variance that lies between groups, (n_orders, m).
+    """Return the between-group fraction of each column's variance, (n_orders, m), in centred sequences z.
 
-    `of_group` (n, n_groups) is one where a row belongs to a group, otherwise zero.
+    `z` has shape (n_orders, n, m). `of_group` (n, n_groups) is 1 where a row belongs to a group, otherwise 0.
     """
     sums = np.einsum("onm,ng->omg", z, of_group)
     counts = np.einsum("onm,ng->omg", present.astype(float), of_group)
@@ -130,20 +132,20 @@ def slow_waves(n: int) -> FloatArray:
 
 
 def share_along(basis: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the fraction of each centred sequence's sum of squares in the span of a basis, (n_orders, m).
+    """Return the fraction of each column's sum of squares in the span of a basis, shape (n_orders, m).
 
-    The columns of `basis` (n, k) are orthonormal.
+    The centred sequences `z` have shape (n_orders, n, m), and the columns of `basis` (n, k) are orthonormal.
     """
     return np.asarray(np.sum(np.einsum("onm,nk->omk", z, basis) ** 2, axis=2) / np.sum(z**2, axis=1))
 
 
 class Bends:
-    """Positions at which the dependence of a sequence on x may bend.
+    """Values of a covariate x at which the dependence of a sequence on x may bend.
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        A covariate; NaN where it is not known.
+        The covariate; NaN where it is not known.
 
     Attributes
     ----------
@@ -163,7 +165,7 @@ class Bends:
         self.places, self._line, self._bent, self._known = at[kept], line, bent[:, kept] / size[kept], known
 
     def shares(self, z: FloatArray) -> FloatArray:
-        """Return the fraction of the variance about a straight line in x that a bend at each position explains.
+        """Return the fraction of the variance about a straight line in x that a bend at each place explains.
 
         The sequences `z` have shape (…, n, m).
 
@@ -176,7 +178,7 @@ class Bends:
         return np.asarray(np.einsum("...nm,nc->...mc", z, self._bent) ** 2 / left[..., None])
 
     def largest(self, z: FloatArray, present: BoolArray) -> FloatArray:
-        """Return the largest of `shares` over all positions, shape (n_orders, m)."""
+        """Return the largest of `shares` over all places, shape (n_orders, m)."""
         return np.asarray(self.shares(z).max(axis=-1))
 
 

@@ -1,4 +1,4 @@
-"""Posterior expectations and predictions, eqs. (10) and (11) of the paper, and warnings about the model."""
+"""Posterior expectations, eq. (11) of the paper, and predictions, eq. (10); warnings on draws at bounds."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 
 
 def noise_sd(trace: xr.DataTree, mode: str) -> float:
-    """Return the standard deviation of a measured frequency's errors over the draws, Hz; 0 if it is unknown."""
+    """Return the standard deviation of a mode's measurement error, averaged over the draws, Hz; 0 if unknown."""
     if not has(trace, "posterior_predictive", "frequency"):
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
@@ -142,7 +142,7 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:
-    """Return the frequencies of the single tests (n_tests, n_modes), Hz, or None without repeated tests.
+    """Return the frequencies of the single tests, (n_tests, n_modes), Hz, or None if tests were not repeated.
 
     They are NaN where a test missed a mode.
     """
@@ -197,7 +197,7 @@ _WITHIN = 2.0
 
 
 class AtBound(NamedTuple):
-    """A parameter whose draws accumulate at a bound, with the posterior and prior probability near the bound."""
+    """A parameter whose draws accumulate at a bound, with the posterior and prior probability near this bound."""
 
     name: str
     side: str
@@ -209,8 +209,9 @@ class AtBound(NamedTuple):
 def at_bounds(trace: xr.DataTree) -> list[AtBound]:
     """Return the parameters whose draws accumulate at a bound, which suggests values beyond the bound.
 
-    Three conditions apply. At least 5 % of the posterior lies within 2 % of the range from the bound. This is more
-    than three times the prior's fraction there. The posterior mean is within two standard deviations of the bound.
+    A parameter is listed if three conditions hold: at least 5 % of the draws lie within 2 % of the range from the
+    bound; this is more than three times the prior's fraction there; and the posterior mean is within two standard
+    deviations of the bound.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))
@@ -233,7 +234,10 @@ PINNED = 0.5
 
 
 def pinned_parameters(trace: xr.DataTree) -> list[str]:
-    """Return the names of parameters with most draws next to a bound, except losses, whose bounds are physical."""
+    """Return the names of the parameters that have most of their draws next to a bound.
+
+    Losses are excluded, because their bounds are physical.
+    """
     return [one.name for one in at_bounds(trace) if one.near > PINNED and not is_loss(trace, one.name)]
 
 
@@ -247,7 +251,7 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the fraction of the prior near a bound; without prior draws the prior is taken as uniform."""
+    """Return the fraction of the prior draws near a bound; without prior draws, that of a uniform prior."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"].variables[name].to_numpy() - bound) < margin))

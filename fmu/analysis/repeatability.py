@@ -1,4 +1,4 @@
-"""Tests of whether repeated tests are independent, as the standard error of their mean assumes."""
+"""Test whether repeated tests are independent, as the standard error of their mean assumes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Repeatability:
 
     @property
     def effective(self) -> FloatArray:
-        """Number of independent tests that would give the same standard error of the mean, at least 1, (n_modes,).
+        """Number of independent tests that would give the same standard error of the mean, (n_modes,), at least 1.
 
         For an autoregressive series of order 1 it is n (1 − ρ)/(1 + ρ). Here ρ is r_1 corrected for its bias in
         short series to first order in 1/n, (r_1 + 1/n)/(1 − 3/n) (Marriott & Pope 1954, Biometrika 41, 390–402).
@@ -66,7 +66,7 @@ class Repeatability:
         return np.asarray(np.maximum(self.n * (1.0 - rho) / (1.0 + rho), 1.0))
 
     def doubts(self) -> list[str]:
-        """Return a sentence on each mode with drift or correlated tests, and a remedy; empty if there is none."""
+        """Return a sentence with a remedy on each mode whose tests drift or are correlated."""
         said = [self._of_mode(int(k)) for k in np.flatnonzero(self.resembles | self.drifts)]
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
@@ -151,7 +151,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
 
 
 def repeatability_warnings(trace: xr.DataTree) -> list[str]:
-    """Return `Repeatability.doubts` of the tests stored in a trace; empty without repeated tests."""
+    """Return `Repeatability.doubts` for the tests stored in a trace; empty if tests were not repeated."""
     tests = measured_tests(trace)
     if tests is None:
         return []

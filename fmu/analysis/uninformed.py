@@ -20,7 +20,7 @@ _ALIKE = 0.05
 
 
 class Uninformed(NamedTuple):
-    """A direction in parameter space on which the data carry no information.
+    """A direction in parameter space about which the data carry no information.
 
     Attributes
     ----------
@@ -44,8 +44,8 @@ class Uninformed(NamedTuple):
 def left_to_prior(found: Identifiability) -> list[Uninformed]:
     """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
-    Parameters on which no measured mode depends come first, one direction each. The other directions are returned
-    in the sparsest basis that elimination finds, because any basis of their span is valid.
+    Parameters on which no measured mode depends come first, one direction each. Any basis of the remaining
+    directions would be valid; the sparsest that elimination finds is returned.
     """
     most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
     S, n = found.sensitivity, len(found.names)
@@ -179,7 +179,10 @@ def eliminate(rows: FloatArray) -> FloatArray:
 
 
 def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
-    """Name a direction by its large components; `relative` is each parameter's relative change along it."""
+    """Return a direction with a name made from its large components.
+
+    `relative` (ndim,) is each parameter's relative change along the direction.
+    """
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")
     large = large[size[large] >= NAMED * size.max()]
@@ -194,7 +197,7 @@ def name_direction(direction: FloatArray, names: tuple[str, ...], relative: Floa
 
 
 def _constant_in_words(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
-    """Return the ratio or product that is constant along a direction, such as ``"k/m"``; empty if none is."""
+    """Return the ratio or product that is constant along a direction, such as ``"k/m"``, or "" if none is."""
     change = relative[large]
     if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():
         return ""

@@ -113,7 +113,7 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """Sentences of the failed checks: first those that name a cause, then the others from least to most probable."""
+        """Sentences of the failed checks, those that name a cause first, then the least probable first."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property

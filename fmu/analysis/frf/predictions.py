@@ -23,7 +23,7 @@ _FILL = {"in_spectrum": 0, "used": 0, "held_out": 0}
 
 
 class HeldOut(NamedTuple):
-    """Comparison of held-out FRF values with their prediction, for each FRF.
+    """Comparison of each FRF's held-out values with their prediction.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class HeldOut(NamedTuple):
         Chi-square with `freedom` degrees of freedom if the model is correct; NaN without held-out values.
     freedom : ndarray of int, shape (n_frfs,)
     inside : ndarray of int, shape (n_frfs,)
-        Number of held-out values whose amplitude is inside its 90 % interval.
+        Number of held-out values whose measured amplitude is inside its 90 % prediction interval.
     """
 
     squares: FloatArray
@@ -86,7 +86,7 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
 
 def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> xr.Dataset:
-    """Return the FRF group of one test; `theta` (n, n_own) are draws of its likelihood term's parameters."""
+    """Return the trace group ``frfs`` of one test, given draws `theta` (n, n_own) of the FRF term's parameters."""
     import xarray as xr
 
     data = term.data
@@ -113,7 +113,10 @@ def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -
     known = term.channels.gain_sd > 0.0
 
     def spread(values: FloatArray) -> FloatArray:
-        """Spread values (..., n_predicted) over all lines, (..., n_lines), with NaN where nothing is predicted."""
+        """Return an array over all lines, (..., n_lines), with `values` (..., n_predicted) at the predicted lines.
+
+        The other lines are NaN.
+        """
         found = np.full((*values.shape[:-1], data.n_lines), np.nan)
         found[..., lines] = values
         return found
@@ -180,7 +183,7 @@ def _compare(
 
 
 def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return quantiles of FRF amplitude, and of phase in degrees, each (3, n_frfs, n_lines).
+    """Return the quantiles of each FRF's amplitude and of its phase in degrees, each (3, n_frfs, n_lines).
 
     Phases are taken within 180° of the median's phase, so that they do not wrap.
     """
@@ -194,7 +197,8 @@ def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
 def frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
     """Return the frequency response assurance criterion |Σ d H*|²/(Σ |d|² Σ |H|²) of each FRF, (n_frfs,).
 
-    Values (n_frfs, n_lines) that are 0 do not count; if all are 0, the criterion is NaN (Heylen & Lammens 1996).
+    Lines at which a value (n_frfs, n_lines) is 0 are ignored. The criterion is NaN if all lines are (Heylen &
+    Lammens 1996).
     """
     cross = np.abs(np.sum(measured * np.conj(computed), axis=1)) ** 2
     size = np.sum(np.abs(measured) ** 2, axis=1) * np.sum(np.abs(computed) ** 2, axis=1)

@@ -1,4 +1,4 @@
-"""Gaussians and the prior as importance-sampling proposals for posteriors that differ in one mode."""
+"""Importance-sampling proposals for posteriors that differ in one mode: Gaussians at the maxima, and the prior."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ _GROUPS, _A_GROUP = 8, 20
 
 
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return quadratic models of log P at all maxima that may have a significant probability."""
+    """Return quadratic models of log P at all maxima that may have a significant probability.
+
+    The maxima are searched for from `near` and other starting points.
+    """
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
     return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
@@ -39,14 +42,14 @@ def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: 
 def gaussians(
     models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
 ) -> list[SequentialNormal]:
-    """Return the Gaussians of all quadratics at all temperatures, truncated at the bounds."""
+    """Return one Gaussian per quadratic and temperature, truncated at the bounds."""
     return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
 
 
 def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
-    """Fit each quadratic model to the draws around it; leave it unchanged if there are too few draws.
+    """Return the quadratic models, each fitted again to the draws around it unless there are too few.
 
-    The weights P^(1/4) also include the flanks of the peak, where most of the draws lie.
+    Draws are weighted by P^(1/4), which gives enough weight to the flanks of the peak, where most draws lie.
     """
     known = np.isfinite(log_p)
     u, log_p = u[known], log_p[known]
@@ -61,7 +64,7 @@ def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class PriorCandidates:
-    """The prior as an importance-sampling proposal q, which bounds the weights by a multiple of the likelihood."""
+    """The prior as an importance-sampling proposal, with weights proportional to the likelihood."""
 
     problem: UpdatingProblem
     scaled: ScaledDensity
@@ -77,7 +80,7 @@ class PriorCandidates:
 
 
 def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
-    """Fit Gaussians to k-means groups of weighted draws u (n, ndim).
+    """Divide weighted draws u (n, ndim) into groups by k-means, and return a Gaussian fitted to each group.
 
     The list is empty if there are too few distinct draws for two groups.
     """

@@ -1,4 +1,4 @@
-"""Predict each measured mode from the other modes, by importance weights or by updating without it."""
+"""Predict each measured mode from the other modes, by importance weighting or by updating without the mode."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | None = None) -> xr.DataTree:
-    """Return the trace with the `leave_one_out` table added; unchanged if no mode can be left out.
+    """Return the trace with the `leave_one_out` table added, or unchanged if no mode can be left out.
 
     Parameters
     ----------
@@ -189,9 +189,15 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 class _Known:
     """Cached leave-one-out results for a problem.
 
-    `rows` maps each mode index to the limit on solves and the prediction obtained with it. `approximation`
-    approximates the posterior with all modes. `is_gaussian` is False if the common candidates did not cover that
-    posterior. Separate Gaussian candidates for each mode are then not tried if a run can replace them.
+    Attributes
+    ----------
+    rows : dict of int to (int, HeldOut)
+        The limit on solves and the prediction obtained with it, keyed by mode index.
+    approximation : Approximation or None
+        Gaussians that approximate the posterior with all modes; None before it was needed.
+    is_gaussian : bool
+        False if the common candidates did not cover the posterior with all modes. Separate Gaussian candidates for
+        each mode are then not tried if a run can replace them.
     """
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
@@ -209,10 +215,10 @@ def _known_of(problem: UpdatingProblem) -> _Known:
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
     """Predict each mode from its leave-one-out posterior, with at most `most` solves per mode.
 
-    The predictions are returned by mode index. One set of candidates is first used for all modes. Modes that it
-    does not cover well get candidates of their own. Nothing is returned for a funnel, where Gaussians are poor
-    candidates. The cached results depend on the problem and not on the draws, so one computation serves all
-    samplers.
+    Return the predictions keyed by mode index. One set of candidates is first used for all modes. Modes that it
+    does not cover well get candidates of their own. Unreliable predictions are left out, and so are all
+    predictions if the posterior is a funnel, because Gaussians are poor candidates there. Results are cached with
+    the problem and do not depend on the draws, so one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES and not is_in_funnel(problem):
@@ -235,9 +241,10 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: FloatArray) -> dict[int, HeldOut]:
-    """Predict each mode from separate draws of its leave-one-out posterior; return reliable results by mode index.
+    """Predict each mode from separate draws of its leave-one-out posterior; key the predictions by mode index.
 
-    The draws start from `near` (n, ndim), SI units, which are draws of the posterior with all modes.
+    Unreliable predictions are left out. The chains start from `near` (n, ndim), SI units, which are draws from the
+    posterior with all modes.
     """
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
@@ -262,7 +269,7 @@ def _by_own_run(problem: UpdatingProblem, k: int, near: FloatArray) -> HeldOut |
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a warning about used modes that have neither reliable weights nor a reliable refit."""
+    """Return a list with a warning if some used modes have neither reliable weights nor a reliable refit."""
     table = kept_table(trace)
     if table is None:
         return []
@@ -277,7 +284,10 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOut:
-    """Return the prediction of mode `k` from the weighted draws; NaN if the weights are unreliable."""
+    """Return the prediction of mode `k` from the importance-weighted draws.
+
+    Its numbers are NaN if the weights are unreliable or, with `smoothed` None, unknown.
+    """
     if smoothed is None:
         return HeldOut()
     if not smoothed.is_good:
@@ -294,7 +304,11 @@ def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws
 
 
 def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
-    """Predict mode `k` from draws of a posterior without it; `log_p` (n,) is the mode's log-density there."""
+    """Predict mode `k` from unweighted draws of a posterior that does not use it.
+
+    `log_p` (n,) is the mode's log-density at the draws. The elpd is NaN if the Pareto k of these densities is too
+    large.
+    """
     row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
@@ -305,9 +319,10 @@ def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers:
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
-    """Predict several modes from leave-one-out posteriors with common candidates; omit modes not covered well.
+    """Predict several modes from their leave-one-out posteriors, using the same candidates for all of them.
 
-    Return the limit on solves and the prediction, by mode index.
+    Return the limit on solves and the prediction, keyed by mode index. Modes whose leave-one-out posterior is not
+    covered well are left out.
     """
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
@@ -321,7 +336,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Predict mode `k` by updating with and without it; the result is cached if it is accurate enough."""
+    """Predict mode `k` by updating with and without it, using at most `most` solves; cache an accurate result."""
     known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]
@@ -340,7 +355,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
 
 
 def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
-    """Return the table row of mode `k` from its leave-one-out posterior; unreliable numbers are NaN."""
+    """Return the table row of mode `k` from its leave-one-out posterior, with NaN for unreliable numbers."""
     used = draws.problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
@@ -357,7 +372,7 @@ def _without(problem: UpdatingProblem, k: int) -> UpdatingProblem:
 
 
 def _log_likelihood(problem: UpdatingProblem, draws: Draws) -> FloatArray:
-    """Return the log-likelihood at the draws, (n,), without new solves if the frequencies suffice."""
+    """Return the log-likelihood at the draws, (n,), without new solves if it depends on the frequencies alone."""
     return np.asarray(problem.terms_of_frequencies(draws.theta, draws.hz).sum(axis=1))
 
 
@@ -366,10 +381,10 @@ def _generator(stream: int) -> np.random.Generator:
 
 
 def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
-    """Return the approximate time of a solve in seconds: measured for a function, otherwise from the matrix sizes.
+    """Return the approximate time of a solve in seconds.
 
-    A structure's time is not measured, so a repeated or resumed run has the same table, whatever the load of the
-    machine.
+    For a user's function it is measured. For a structure it is estimated from the matrix sizes, so a repeated or
+    resumed run has the same table, whatever the load of the machine.
     """
     structure = structure_of(problem.model)
     if structure is not None:

@@ -1,4 +1,4 @@
-"""Draws from a leave-one-out posterior if Gaussians are poor proposals, by fitted candidates or by a run."""
+"""Draw from a leave-one-out posterior for which Gaussians are poor proposals, by fitted candidates or by a run."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ its draws."""
 def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> FloatArray | None:
     """Return draws from a leave-one-out posterior, (chains, n, ndim), SI units, or None if they do not converge.
 
-    They are resampled candidates if the candidates' weights are reliable (`_by_rounds`), otherwise draws of a run.
-    The run has converged if R-hat and ESS of all parameters meet the limits of `fmu.diagnose`. Until then the
-    number of draws is doubled, up to `_MOST` per chain.
+    Candidates are resampled if their weights are reliable (`_by_rounds`). Otherwise chains are run, with twice as
+    many draws each time, up to `_MOST` per chain, until R-hat and ESS of all parameters meet the limits of
+    `fmu.diagnose`.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 
     Walkers start at `near`, draws from the posterior with the mode, and spread over the posterior without it.
     Candidates come from a mixture that is fitted first to the walkers and then, in rounds, to the candidates.
-    Parameters with log-normal priors are replaced by their logarithms, in which a posterior is less skewed. If the
-    Pareto k of the weights is low, candidates are resampled by weight; the number of draws is their ESS.
+    Parameters with log-normal priors are replaced by their logarithms, whose posterior is less skewed. If the
+    Pareto k of the weights is low, as many draws are resampled from the candidates as their ESS.
     """
     density = LogarithmicDensity(without)
     rounds, u = Rounds(Target(density)), density.to_scaled(near[rng.choice(len(near), _WALKERS)])
@@ -103,7 +103,10 @@ def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -
 
 
 def is_in_funnel(problem: UpdatingProblem) -> bool:
-    """Return True if Gaussians at the posterior's maxima are useless as proposals; see `are_in_funnel`."""
+    """Return True if the posterior is a funnel, so that Gaussians at its maxima are useless as proposals.
+
+    See `fmu.analysis.maxima.starts.are_in_funnel`.
+    """
     has_discrepancy = problem.likelihood.has_discrepancy and is_searchable(problem)
     return has_discrepancy and are_in_funnel(problem, find_map(problem))
 

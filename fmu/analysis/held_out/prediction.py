@@ -21,7 +21,7 @@ NEITHER = ""
 
 
 class HeldOut(NamedTuple):
-    """One mode and its prediction from the other modes; the fields are the columns of `leave_one_out`."""
+    """A mode's prediction from the other modes, as a row of the `leave_one_out` table; unknown numbers are NaN."""
 
     measured: float = np.nan
     mean: float = np.nan
@@ -61,13 +61,13 @@ class Draws:
 
     @cached_property
     def _observed(self) -> ModalPrediction:
-        """Computed modes at the distinct draws, which every left-out mode needs if there is a discrepancy."""
+        """Modes computed at the distinct draws, cached because a discrepancy needs them for each left-out mode."""
         return self.problem.likelihood.observed(self._distinct[0])
 
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
-        """Return the predictive distribution of mode `k`'s measurement, given the used modes.
+        """Return the predictive distribution of mode `k`'s measured frequency from importance-weighted draws.
 
-        It is a mixture of one distribution per draw. These are Gaussian, or
+        It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These are Gaussian, or
         Student's if the measurement is the mean of tests whose scatter gives its error. The prediction is NaN if
         the problem has no error model for frequencies.
         """

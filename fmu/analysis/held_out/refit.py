@@ -149,7 +149,7 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
-    """Return the problem with `_SHARE` of its reduced basis, or unchanged if this would alter log P noticeably.
+    """Return the problem with only `_SHARE` of its reduced basis, or unchanged if this alters log P noticeably.
 
     Chains of the cheaper problem only supply proposals, which need not be exact.
     """
@@ -163,7 +163,7 @@ def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> Updat
 def _walk_chains(
     problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Run short chains from some of the weighted draws; return their draws in scaled coordinates, (n, ndim)."""
+    """Run short chains from some of the weighted draws; return the chains' draws in scaled units, (n, ndim)."""
     scaled = ScaledDensity(problem)
     start = resample(rng, u, log_w, _WALKERS)
     seed = int(rng.integers(2**31))
@@ -249,10 +249,10 @@ def _draw_until_enough(
 
 
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
-    """Return log-probabilities of problems with a common model, and its frequencies, (n, n_problems + n_modes).
+    """Return the log-probability of each problem, and the common model's frequencies in Hz, side by side.
 
-    Unless a pairing is soft, the model is solved once at each theta. The last problem must use all modes of the
-    other problems.
+    The shape is (n, n_problems + n_modes). The model is solved once at each theta, unless a pairing is soft. The
+    last problem must use all modes of the other problems.
     """
     whole, likelihoods = problems[-1], list[Any](problem.likelihood for problem in problems)
     if whole.model.is_soft:
@@ -268,9 +268,9 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
 
 
 def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
-    """Compare the posteriors without and with a mode, using draws from a density q.
+    """Compare the posteriors without and with a mode, using draws `theta` (n, ndim) from a density q.
 
-    The log-probabilities `log_p` have shape (2, n): without the mode, then with it.
+    `log_p` (2, n) contains the log-probabilities without the mode, then with it.
     """
     log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)

@@ -103,10 +103,18 @@ def left_out_together(
 def _first_models(
     problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
 ) -> tuple[list[list[Quadratic]], dict[int, FloatArray], UpdatingProblem]:
-    """Fit quadratics to each posterior; also return starting points for chains in poorly covered posteriors.
+    """Fit quadratics to each posterior, and choose starting points for chains in posteriors they cover poorly.
 
-    The last posterior's maxima are additional starting points in the search for the other posteriors' maxima. The
-    third result is the last problem, with only part of the reduced basis if this suffices for chains.
+    The last posterior's maxima are additional starting points in the search for the other posteriors' maxima.
+
+    Returns
+    -------
+    list of list of Quadratic
+        The quadratics of each problem.
+    dict of int to ndarray, shape (n, ndim)
+        Scaled starting points, keyed by the index of the poorly covered posterior.
+    UpdatingProblem
+        The last problem, with only part of the reduced basis if this suffices for chains.
     """
     n, whole = len(problems), problems[-1]
     models = [quadratics_at_maxima(whole, scaled, whole.start[None])]
@@ -126,7 +134,7 @@ def _first_models(
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Resample draws, (_WALKERS, ndim), with flattened weights, because few draws may have all the weight."""
+    """Resample draws with flattened weights, because a few draws may have all the weight; (_WALKERS, ndim)."""
     return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 
@@ -136,7 +144,7 @@ def _walk(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
-    """Run short chains in some of the posteriors; return scaled draws (n, ndim) by posterior index.
+    """Run short chains in some of the posteriors; return scaled draws (n, ndim), keyed by posterior index.
 
     The chains use differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the
     difference of two other walkers, so that the walkers spread along a ridge. The walkers of all posteriors move
@@ -172,7 +180,7 @@ def walk(
     bounds : pair of ndarray, shape (ndim,)
     rng : Generator
     walkers : int
-        Number of successive walkers that form a separate ensemble.
+        Size of an ensemble: each `walkers` successive rows of `x` move separately from the others.
     """
     (lower, upper), t = bounds, np.arange(len(x))
     log_p = log_prob(x)
@@ -195,7 +203,7 @@ def walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A mixture of Gaussians and the prior; all posteriors get the same weight, and the prior less."""
+    """A mixture of Gaussians and the prior. All posteriors have the same weight in it; the prior has less."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal
@@ -216,7 +224,7 @@ def _draws(
     rng: np.random.Generator,
     n: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return about `n` draws u (n, ndim) from a mixture, its log-density (n,), and the solutions at the draws.
+    """Return about `n` draws u (n, ndim) from the mixture, its log-density (n,), and the solutions at the draws.
 
     The solutions are the log-probabilities of all problems and the frequencies, (n, n_problems + n_modes).
     """
@@ -232,9 +240,10 @@ def _weigh_candidates(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
-    """Return draws u (n, ndim) from a mixture, log P of all problems there, and leave-one-out results by index.
+    """Return draws u (n, ndim) from the mixture, all problems' log P there, and the leave-one-out results.
 
-    The log-probabilities have shape (n, n_problems). Results are computed for the problems `wanted` only.
+    The log-probabilities have shape (n, n_problems). The results are computed only for the problem indices in
+    `wanted`, which are their keys.
     """
     n = len(problems)
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)

@@ -1,4 +1,4 @@
-"""Importance weights that turn posterior draws into draws from a leave-one-out posterior (PSIS)."""
+"""Pareto-smoothed importance weights (PSIS) that turn posterior draws into leave-one-out posterior draws."""
 
 from __future__ import annotations
 
@@ -25,7 +25,18 @@ SMOOTHED_K = 0.5
 
 
 class Smoothed(NamedTuple):
-    """Log-weights (n,) for a leave-one-out posterior, Pareto k, whether k is low, elpd and its standard error."""
+    """Smoothed weights of a leave-one-out posterior.
+
+    Attributes
+    ----------
+    log_weight : ndarray, shape (n,)
+    pareto_k : float
+        Pareto shape parameter of the weights.
+    is_good : bool
+        Whether `pareto_k` is low enough for reliable weights.
+    elpd, mcse : float
+        Log-density of the left-out mode given the other modes, and its standard error.
+    """
 
     log_weight: FloatArray
     pareto_k: float
@@ -35,7 +46,11 @@ class Smoothed(NamedTuple):
 
 
 def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
-    """Return the importance weights of each used mode, by label; empty for too few draws or constant draws."""
+    """Return the importance weights that leave out each mode, keyed by mode label.
+
+    The dict is empty if there are too few draws or the ESS is undefined. A mode is missing if too many draws are
+    equal.
+    """
     kept = list(map(str, trace["log_likelihood"].data_vars))
     # with correlated errors, the terms that sum to the joint density are not those of each mode given the others
     terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])

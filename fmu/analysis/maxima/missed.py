@@ -28,14 +28,15 @@ _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """Differences between the fraction of a run's draws around each maximum and its posterior probability.
+    """Maxima whose fraction of a run's draws disagrees with their posterior probability.
 
     Attributes
     ----------
     reasons : list of str
         Reasons why the run has not converged: maxima that it missed, or visited out of proportion.
     outweighed : list of str
-        Disagreements for which importance sampling has a smaller ESS than the run, so that the run counts.
+        Disagreements in which the run has the larger ESS, so that the probability from importance sampling is
+        wrong.
     """
 
     reasons: list[str]
@@ -79,9 +80,9 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return how far a Gaussian's log-density falls from its peak to the ellipsoid with probability `NEARBY`.
+    """Return how far a Gaussian's log-density drops from its peak to the ellipsoid with probability `NEARBY`.
 
-    This is half of the χ² quantile.
+    The drop is half the χ² quantile with ndim degrees of freedom.
     """
     return float(gammaincinv(0.5 * theta.shape[1], NEARBY))
 
@@ -171,7 +172,7 @@ class Visits(NamedTuple):
 
 
 def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
-    """Return the fraction of a run's draws at each maximum, and how often its chains changed maxima."""
+    """Return the fraction of a run's draws at each maximum, and how often each chain changed maxima."""
     walkers, draws = walkers_of(trace), parameter_draws(trace)
     lp = array_of(trace, "sample_stats", "lp")
     owner = draws_of_maxima(draws.reshape(-1, draws.shape[2]), lp.ravel(), maxima).reshape(len(draws), -1, walkers)
@@ -184,8 +185,8 @@ def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
     """Return the ESS of the fraction of draws at a maximum, given a mask of these draws.
 
-    If no chain changes maxima, this is the number of chains, because the starting points alone then determine the
-    fraction.
+    If no chain changes maxima, the starting points alone determine the fraction, and the result is the number of
+    chains.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))
@@ -196,8 +197,8 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 def _effective_weights(maxima: Maxima, k: int) -> float:
     """Return the ESS of a maximum's estimated mass.
 
-    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. That this is almost zero is
-    as certain as the other masses are, so the largest of their ESS is returned.
+    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. Its mass is then as surely
+    negligible as the other masses are known, so the largest ESS of any maximum is returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
@@ -215,16 +216,17 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Return True if a fraction of draws and a posterior probability differ too much, unless both are small."""
+    """Return True if a fraction of draws and a posterior probability differ too much; False if both are small."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """Return a clause that says how many chains or walkers are around each maximum.
+    """Return a clause that says how many chains or walkers are around each maximum, or near none.
 
-    `nearest` contains the index of each draw's maximum, shape (chains, steps, walkers).
+    `nearest` (chains, steps, walkers) contains the index of each draw's maximum, or −1 if the draw is near no
+    maximum.
     """
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
@@ -331,9 +333,9 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return theta and log-probability of the other run's best draw in a missed region, and its probability.
+    """Return the other run's best draw in a missed region, its log-probability, and the region's probability.
 
-    The probability is that of the whole region. Return None if it is negligible.
+    Return None if the probability is negligible.
     """
     W = here.metric()
     ndim = here.position.shape[2]
@@ -355,7 +357,7 @@ def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[Flo
 
 
 def _log_mass(theta: FloatArray, log_prob: FloatArray) -> float:
-    """Estimate log ∫ P over a region from the draws in it; return −inf for too few draws.
+    """Estimate log ∫ P over a region from the draws in it; return −inf if there are too few draws.
 
     The estimate is E[log P] plus the entropy of a Gaussian with the draws' covariance.
     """

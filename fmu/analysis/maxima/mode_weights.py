@@ -1,4 +1,4 @@
-"""The mass of the posterior around each of its local maxima."""
+"""Compute the posterior mass around each local maximum."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _laplace(
 
 
 def log_shares(maxima: Sequence[Quadratic], u: FloatArray) -> FloatArray:
-    """Return log(exp(m_k)/Σ exp(m)) of each maximum k at points u (n, ndim), shape (maxima, n)."""
+    """Return log(exp(m_k)/Σ exp(m)) at points u (n, ndim), shape (maxima, n), where m_k is quadratic model k."""
     model = np.stack([m(u) for m in maxima])
     return np.asarray(model - logsumexp(model, axis=0))
 
@@ -124,13 +124,13 @@ def _importance(
 
 
 def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
-    """Return the mass and moments of P around each maximum, or None if no draw there has a finite weight."""
+    """Return the mass and moments of P around each maximum, or None for a maximum without a finite-weight draw."""
     belongs = log_shares(maxima, u)
     return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 
 
 def _weigh_draws(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
-    """Return the mean importance weight, and the weighted mean and covariance of the draws u (n, ndim)."""
+    """Return the mean importance weight as the mass, with the weighted mean and covariance of u (n, ndim)."""
     log_sum = float(logsumexp(log_w))
     w = np.exp(log_w - log_sum)
     mean = w @ u

@@ -1,4 +1,4 @@
-"""Adapter that lets the search for maxima use a plain log-density: starting points, gradients, and doubts."""
+"""Adapter with which the search for maxima can use a plain log-density."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def _tell_where(theta: FloatArray) -> Iterator[None]:
-    """Add a note with the point of evaluation to any error raised inside, except NotImplementedError."""
+    """Add a note with the point theta to any error raised in the block, except NotImplementedError."""
     try:
         yield
     except NotImplementedError:
@@ -53,7 +53,7 @@ prior."""
 
 
 class PlainDensity:
-    """A plain log-density with the attributes of an updating problem that the search needs; it has no modes.
+    """A plain log-density with the updating-problem attributes that the search for maxima needs; it has no modes.
 
     The search avoids points at which the log-density is not finite. Evaluations are counted as solves.
 
@@ -68,7 +68,7 @@ class PlainDensity:
     region : str
         Region from which the starting points of the search are drawn, in words.
     is_bounded : bool
-        Whether bounds or a prior limit the region of the maxima.
+        Whether bounds or a prior limit the region in which maxima can lie.
     """
 
     is_hierarchical = False

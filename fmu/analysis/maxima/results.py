@@ -1,4 +1,4 @@
-"""The maxima of a posterior as a result: positions, masses, tables, and storage in a trace."""
+"""The maxima found for a posterior: positions, masses, tables, and storage in a trace."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ RELIABLE = 20.0
 
 
 def share_of_mass(part: float) -> str:
-    """Format a maximum's posterior probability, which is not shown as zero even if it underflows."""
+    """Format a maximum's posterior probability as a percentage, never as zero even if it underflows."""
     return share(max(part, np.finfo(float).tiny))
 
 
@@ -185,7 +185,7 @@ class Maxima:
 
     @property
     def effective_draws(self) -> float:
-        """Smallest ESS of the mass estimates, negligible maxima excluded."""
+        """Smallest ESS of the mass estimates; negligible maxima are ignored."""
         return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
@@ -244,8 +244,8 @@ class Maxima:
     def drop(self, theta: FloatArray) -> FloatArray:
         """Return the drop of each maximum's quadratic model from its peak to theta (n, ndim), shape (maxima, n).
 
-        The drop is infinite for maxima so low that they have no mass, because an ascent may have ended on a slope
-        there.
+        The drop is infinite for a maximum too low to have mass, because the ascent to it may have ended on a
+        slope.
         """
         models = [
             basin(Quadratic(m.theta, m.log_prob, m.gradient, m.hessian), m.kind, m.at_bound) for m in self.maxima
@@ -255,7 +255,7 @@ class Maxima:
         return falls
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
-        """Return a table of text with one column for each maximum, for the model before updating and for the data.
+        """Return a text table that compares the maxima, the model before updating and the data, one column each.
 
         The posterior standard deviations determine the number of digits; different frequencies are shown as
         different.
@@ -286,7 +286,7 @@ class Maxima:
         return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self) -> list[str]:
-        """Return a sentence on each of the highest maxima that has active bounds."""
+        """Return a sentence on each of the highest maxima at which a bound is active."""
         words = [self.words_at_bounds(m) for m in self.maxima[:MOST_SHOWN]]
         titles = [self.title(k).capitalize() for k in range(len(words))]
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
@@ -296,7 +296,7 @@ class Maxima:
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
     def no_maxima(self) -> list[str]:
-        """Return a sentence on each of the highest points at which the search ended without reaching a maximum."""
+        """Return a sentence on each of the highest points at which an ascent ended without reaching a maximum."""
         return [
             f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
             f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"
@@ -305,7 +305,7 @@ class Maxima:
         ]
 
     def as_text(self, most_rows: int | None = None) -> str:
-        """Return the table as text; with more than `most_rows` rows, only the probabilities of the maxima."""
+        """Return the table as text, or only the maxima's probabilities if it has more than `most_rows` rows."""
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]

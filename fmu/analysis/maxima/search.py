@@ -1,4 +1,4 @@
-"""Search for all posterior maxima from many starting points, with the curvature and mass of each."""
+"""Search for all posterior maxima from many starting points, and compute the curvature and mass of each."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def find_map(
 
 
 def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
-    """Return the maxima of an updating problem, found with at most about `most` solves."""
+    """Return the maxima of an updating problem, found with a limit of about `most` solves."""
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()
@@ -160,7 +160,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
-    """Return the maxima of a plain log-density, with the doubts that remain after the search."""
+    """Return the maxima of a plain log-density, with the reasons why there may be others (`Maxima.doubts`)."""
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf
@@ -244,7 +244,10 @@ def _weigh(
 def quadratic_at(
     problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum, *, is_rough: bool = False
 ) -> tuple[Quadratic, str]:
-    """Return the second-order expansion of log P at a maximum, in scaled coordinates, and its Hessian's source."""
+    """Return the second-order expansion of log P at a maximum, in scaled coordinates, and its Hessian's source.
+
+    The source is ``"differences"`` or ``"Gauss-Newton"``; see `hessian_at`.
+    """
     gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
     gradient = np.where(np.isfinite(gradient), gradient, 0.0)  # at an edge
     hessian, source = hessian_at(problem, maximum.theta, is_rough=is_rough)
@@ -330,7 +333,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
-    """Return gradient differences over ± `step` (ndim,), symmetrised, in scaled coordinates; (ndim, ndim)."""
+    """Return the symmetrised Hessian from gradient differences over ± `step` (ndim,), (ndim, ndim), scaled."""
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway
         vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]

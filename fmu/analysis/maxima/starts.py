@@ -1,4 +1,4 @@
-"""Overdispersed starting points for chains around the maxima, in proportion to their posterior probabilities."""
+"""Choose overdispersed starting points around the maxima, in proportion to their posterior probabilities."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Starts(NamedTuple):
     Attributes
     ----------
     position : str or ndarray, shape (chains, ndim) or (chains, walkers, ndim)
-        Argument of `fmu.samplers.Run`: a word, or positions in SI units.
+        Argument `init` of `fmu.samplers.Run`: a word, or positions in SI units.
     word : {"maxima", "prior", "start", "array"}
         How the starting points were chosen.
     origin : str, ndarray or dict
@@ -124,7 +124,7 @@ def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
 
 
 def middle(problem: Any) -> Quadratic:
-    """Return the quadratic model at the typical point of a hierarchical posterior, in scaled units."""
+    """Return the quadratic model of log P at a hierarchical posterior's typical point, in scaled coordinates."""
     from fmu.posterior.joint.typical import curvature_at, typical_point
 
     position = typical_point(problem)
@@ -183,11 +183,11 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
-    """Return quadratic models at the important maxima, in scaled units, and their mixture weights.
+    """Return quadratic models at the important maxima, in scaled coordinates, and their mixture weights.
 
     Half of the weight is proportional to the posterior probabilities of the maxima, half is equal. A sampler then
     gets enough first candidates around each maximum to find its shape, and notices a probability that was
-    estimated far too low. Without `maxima`, the single component is at the typical point of a hierarchical
+    estimated far too low. If `maxima` is None, the single component is at the typical point of a hierarchical
     posterior.
     """
     if maxima is None:
@@ -212,7 +212,7 @@ def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:
 
 
 def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
-    """Return the second-order expansion of log P at a maximum, in scaled units."""
+    """Return the second-order expansion of log P at a maximum, converted to scaled coordinates."""
     return Quadratic(
         scaled.to_scaled(maximum.theta),
         maximum.log_prob,

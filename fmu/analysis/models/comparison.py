@@ -1,4 +1,4 @@
-"""Comparison of models for the same data, by evidence and by predicting each mode from the others."""
+"""Compare models of the same data by their evidence, and by how well they predict each mode from the others."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _HEADINGS = {
 
 @dataclass(frozen=True, eq=False)
 class ModelComparison:
-    """Several models of the same data, compared side by side.
+    """Comparison of several models of the same data.
 
     Attributes
     ----------
@@ -119,7 +119,10 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
 
 
 def _data(trace: xr.DataTree) -> dict[str, object]:
-    """Return the measured data, the modes and quantities used, and the unit of the errors, by description."""
+    """Return the properties on which the compared models must agree, keyed by description.
+
+    These are the measured data, the modes and quantities used, and the unit of the errors.
+    """
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())
     used = observed["used"].to_numpy().tolist() if "used" in observed else []
@@ -149,7 +152,10 @@ def _shorten(value: object) -> str:
 
 
 def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """Return the log-evidence with its standard error, NaN if unknown, and the reasons why it is unreliable."""
+    """Return a model's log-evidence with its standard error, and the reasons why it is unreliable.
+
+    Both numbers are NaN if the evidence is unknown.
+    """
     if is_pseudo(trace):
         return (np.nan, np.nan), (PSEUDO,)
     found = found_evidences({name: trace}, {name: verdict}, maxima_of(trace))
@@ -161,7 +167,7 @@ def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[
 
 
 def common_modes(traces: Mapping[str, xr.DataTree]) -> dict[str, pd.DataFrame]:
-    """Return the `fmu.leave_one_out` rows of the modes that all models predict, by model name.
+    """Return each model's `fmu.leave_one_out` rows of the modes that all models predict, keyed by model name.
 
     Models without this table are left out.
     """
@@ -207,7 +213,7 @@ def _row(
 
 
 def standard_error(parts: ArrayLike) -> float:
-    """Return the standard error of a sum over modes, √(n var) (Vehtari, Gelman & Gabry 2017, eq. 23).
+    """Return the standard error √(n var) of a sum over n modes (Vehtari, Gelman & Gabry 2017, eq. 23).
 
     The result is NaN for fewer than two modes.
     """
@@ -235,7 +241,7 @@ def _cells(row: pd.Series) -> list[str]:
 def _sentences(
     table: pd.DataFrame, doubts: Mapping[str, Sequence[str]], held_out: Mapping[str, pd.DataFrame]
 ) -> list[str]:
-    """Return sentences on the evidences, the modes left out, missing values, and doubts about the evidences."""
+    """Return sentences on the evidences, the left-out modes, missing values, and doubts about the evidences."""
     said = [*_of_evidences(table), *_of_held_out(table, held_out)]
     for name, reasons in doubts.items():
         if not np.isfinite(table["log_evidence"][name]):

@@ -1,4 +1,4 @@
-"""Frequencies of unmeasured modes, or of a modified structure, including the model discrepancy."""
+"""Predict frequencies of unmeasured modes, or of a modified structure, including the model discrepancy."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _factors(problem: UpdatingProblem, factors: Mapping[str, float]) -> FloatArr
 def _solve(
     problem: UpdatingProblem, values: FloatArray, modes: int, change: Change
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies (n, modes), Hz, at parameters (n, p), and their gradients (n, modes, p)."""
+    """Return the lowest frequencies in Hz, (n, modes), at parameters (n, p), and their gradients (n, modes, p)."""
     paired = structure_of(problem.model.parts[0])
     if paired is None:
         raise ArgumentError("problem", "must have a model with matrices", type(problem.model.truth).__name__)
@@ -139,7 +139,7 @@ def _with_errors(
     J: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Add random model errors to the frequencies f (n, m), as for modes that were not measured."""
+    """Add random model errors to the frequencies f (n, m), drawn as for modes that were not measured."""
     at = problem.layout.of_model(theta)
     noise = theta[:, problem.n_structural :]
     of_modes = np.broadcast_to(values[:, None], (*f.shape, values.shape[1]))

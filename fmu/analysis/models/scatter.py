@@ -1,4 +1,4 @@
-"""Scatter of a wrong model's parameters: which ones cause the misfit, and how scatter changes the posterior."""
+"""Scatter of a wrong model's parameters: which of them cause the misfit, and how scatter widens the posterior."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ at most the second. This probability is about the ratio of posterior to prior wi
 
 
 class Scatter(NamedTuple):
-    """Inferred scatter τ between modes for a group of parameters; relative, or in units of the starting value.
+    """Inferred mode-to-mode scatter τ of a group of parameters.
+
+    τ is a fraction of the parameter's current value or, for parameters that can be zero, of its starting value.
 
     Attributes
     ----------
@@ -38,8 +40,8 @@ class Scatter(NamedTuple):
     needed : float
         Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`).
     largest : float
-        Probability that this τ is the largest, each measured in its prior standard deviations; NaN if it is the
-        only one.
+        Probability that this τ is the largest when every τ is divided by its prior standard deviation; NaN if
+        there is only one τ.
     """
 
     name: str
@@ -53,7 +55,7 @@ class Scatter(NamedTuple):
 
 
 def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
-    """Return the inferred scatters of a trace, in the order of theta; empty without a discrepancy."""
+    """Return the inferred scatters of a trace, in the order of theta; empty if the model has no discrepancy."""
     problem = problem_of(trace)
     likelihood = problem.get("likelihood", {})
     noise = list(likelihood.get("noise", ()))
@@ -102,14 +104,14 @@ def needed_probability(draws: FloatArray, prior_sd: float) -> float:
 
 
 def scatter_table(found: tuple[Scatter, ...]) -> pd.DataFrame:
-    """Return a table of the scatters, one row per τ; for the columns see `Scatter`."""
+    """Return a table with one row per τ; `Scatter` describes the columns."""
     rows = [one._asdict() | {"parameters": ", ".join(one.parameters)} for one in found]
     table = data_frame(rows, "tau", [one.name for one in found])
     return table.drop(columns="name")
 
 
 def scatter_words(found: tuple[Scatter, ...]) -> list[str]:
-    """Return sentences on which groups of parameters need a scatter, and which of them cause the misfit."""
+    """Return sentences that say which groups of parameters need scatter, and which of them cause the misfit."""
     if not found:
         return []
     said = [_of_one(one) for one in found]
@@ -147,7 +149,7 @@ def _of_one(one: Scatter) -> str:
 
 
 def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.DataFrame:
-    """Return the widths of 90 % intervals relative to a reference model's.
+    """Return the width of each parameter's 90 % interval, divided by its width in a reference model.
 
     Returns
     -------
@@ -168,7 +170,7 @@ def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.Dat
 
 
 def ratio_words(ratios: pd.DataFrame, reference: str) -> list[str]:
-    """Return one sentence per model on how much wider its intervals are than the reference model's."""
+    """Return one sentence per model on how much wider its intervals are than those in the reference model."""
     said = []
     for name in map(str, ratios.columns):
         known = ratios[name].dropna()

@@ -1,4 +1,4 @@
-"""Planning of a modal test: the sensors, modes and structural changes that best determine the parameters.
+"""Plan a modal test: find the sensors, modes and structural changes that best determine the parameters.
 
 Reading order: `plan`, `before`, `linearised`, `targets`, `design`; in `sensors`: `information`, `choice`, `bound`.
 """

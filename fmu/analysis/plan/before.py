@@ -1,4 +1,4 @@
-"""Knowledge before a planned test: the structure, and its parameters from the prior, earlier tests or a run.
+"""What is known before a planned test: the structure, and its parameters from the prior, earlier tests or a run.
 
 A plan's parameters ψ are the parameters in theta that matter for the planned test, plus its test scores: its
 standardised deviations from the population means. For a decision about damage after a single test, ψ also
@@ -92,7 +92,7 @@ class Before:
 
     @property
     def _configuration(self) -> tuple[ModalModel, list[int]]:
-        """The model, and the indices of its parameters among the structural parameters."""
+        """Model of the earlier test that the planned one resembles, and its parameters' structural indices."""
         whole = self.problem.model
         if not isinstance(whole, ModelInTests):
             return whole, list(range(whole.n_parameters))
@@ -110,21 +110,25 @@ class Before:
         return self.values(self.reference[None])[0]
 
     def all_at(self, psi: FloatArray) -> FloatArray:
-        """Return all parameters, (n, n_every), at ψ (n, P): theta, then test scores, then losses."""
+        """Return the vector of all parameters, (n, n_every), at ψ (n, P).
+
+        It consists of theta, the test scores and the losses, in this order. Entries outside ψ have their reference
+        values.
+        """
         found = np.tile(self.every, (len(psi), 1))
         found[:, self.columns] = psi
         return found
 
     def theta(self, psi: FloatArray) -> FloatArray:
-        """Return theta without the inferred standard deviations, (n, n_structural), at ψ (n, P)."""
+        """Return the structural part of theta at ψ (n, P), shape (n, n_structural)."""
         return self.all_at(psi)[:, : self.problem.n_structural]
 
     def losses_at(self, psi: FloatArray) -> FloatArray:
-        """Return the losses since a single test, (n, n_losses), at ψ (n, P)."""
+        """Return the stiffness losses since the single test at ψ (n, P), shape (n, n_losses)."""
         return self.all_at(psi)[:, len(self.every) - len(self.losses) :]
 
     def values(self, psi: FloatArray) -> FloatArray:
-        """Return the model parameters in the planned test, (n, n_parameters), at ψ (n, P)."""
+        """Return the model parameters in the planned test at ψ (n, P), shape (n, n_parameters)."""
         theta, layout = self.theta(psi), self.problem.layout
         theta[:, list(self.losses)] *= 1.0 - self.losses_at(psi)
         z = self.all_at(psi)[:, theta.shape[1] : theta.shape[1] + len(layout.drawn)]
@@ -133,7 +137,10 @@ class Before:
         return found[:, self._configuration[1]]
 
     def slopes(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Differentiate a function of ψ, from (n, P) to (n, t), at the draws; return shape (n, t, P)."""
+        """Return a function's derivatives with respect to ψ at the draws, by central differences, (n, t, P).
+
+        The function maps ψ (n, P) to (n, t).
+        """
         n, p = self.draws.shape
         h = _STEP * np.linalg.norm(self.scale, axis=1)
         lower, upper = (np.array([getattr(one, end) for one in self.parameters]) for end in ("lower", "upper"))
@@ -142,7 +149,10 @@ class Before:
         return np.asarray(np.swapaxes((found[0] - found[1]) / distance[..., None], 1, 2))
 
     def chain(self, seen: ModalPrediction) -> ModalPrediction:
-        """Convert modal derivatives at the draws from model parameters to ψ by the chain rule."""
+        """Convert modal derivatives at the draws to derivatives with respect to ψ, by the chain rule.
+
+        The given ones are derivatives with respect to the model parameters.
+        """
         if not self.losses and self.problem.layout.is_identity:
             return seen
         assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
@@ -253,7 +263,7 @@ def known_before(
 
 
 def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
-    """Return the structural parameters that have a population, in the order of ``layout.drawn``."""
+    """Return the structural parameters that vary between tests as populations, ordered as in ``layout.drawn``."""
     layout = problem.layout
     return [p for p in layout.structural if p.name in layout.populations]
 
@@ -261,7 +271,7 @@ def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
 def _linearised_posterior(
     problem: UpdatingProblem, rng: np.random.Generator
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return draws from the linearised posterior of the tests, (n, n_structural), and reasons to doubt it.
+    """Return draws from the tests' linearised posterior, (n, n_structural), and reasons to doubt it.
 
     The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters vary between
     tests, it is approximated at the typical point instead.

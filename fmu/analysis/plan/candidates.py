@@ -125,7 +125,10 @@ def find_candidates(
 
 
 def _places(structure: SeparableModel) -> set[Any]:
-    """Return the places that exist even if they are fixed: drawn points, and ends of rigid arms."""
+    """Return all places of a structure, including fixed ones, which have no free degrees of freedom.
+
+    These are the drawn points, the ends of rigid arms, and the places whose motion is known.
+    """
     drawn = set() if structure.geometry is None else set(structure.geometry.row_of)
     return drawn | set(structure.arms) | {place for place, _ in structure.motions}
 
@@ -155,7 +158,7 @@ def group_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Group existing channels into candidates; for the arguments and errors see `find_candidates`."""
+    """Group channels that exist into candidates; `find_candidates` describes the arguments and errors."""
     for key, sensors in (("candidates", given), ("mounted", mounted)):
         twice = (
             next((i for i, one in enumerate(sensors) if one in sensors[:i]), None) if len(sensors) < 100 else None

@@ -52,11 +52,11 @@ class Design:
 
     @property
     def largest(self) -> FloatArray:
-        """Largest component of each mode shape at the candidates, shape (n, 1, modes), spare modes included."""
+        """Largest absolute component of each mode shape at the candidates, (n, 1, modes); spare modes included."""
         return np.max(np.abs(self.found.seen.shapes), axis=1, keepdims=True)
 
     def frequency_information(self, modes: Sequence[int], sd: FloatArray) -> FloatArray:
-        """Return the information from the frequencies of `modes`, given their relative errors `sd`; (n, p, p)."""
+        """Return the information (n, p, p) from the frequencies of `modes`, whose relative errors are `sd`."""
         seen = self.found.seen
         assert seen.frequency_slopes is not None  # for the type checker
         picked = list(modes)
@@ -92,7 +92,10 @@ class Design:
         return np.array([self.frequency_sd[self.modes.index(i)] for i in modes])
 
     def sd_of(self, state: State) -> FloatArray:
-        """Return the expected parameter standard deviations, averaged over the draws, (p,), SI units."""
+        """Return the expected parameter standard deviations after the test, shape (p,), SI units.
+
+        They are averaged over the draws.
+        """
         return np.asarray(np.mean(self.sd_at_draws(state), axis=0))
 
     def sd_at_draws(self, state: State) -> FloatArray:

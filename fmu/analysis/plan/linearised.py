@@ -1,4 +1,4 @@
-"""Linearisation of a planned test for each kind of model: candidate sensors, modes and derivatives."""
+"""Linearise a planned test for each kind of model: candidate sensors, modes and derivatives."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 
 
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
-    """Linearise the test of a user's function or a surrogate; its candidates are sensors that the data contain.
+    """Linearise the test of a user's function or a surrogate, whose candidates are the sensors in the data.
 
     Raise ValueError if the test has changes, or the data lack the modes or channels.
     """
@@ -159,12 +159,15 @@ def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
 
 
 def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
-    """Convert derivatives with respect to the model parameters to derivatives with respect to the plan's ψ."""
+    """Convert derivatives with respect to the model parameters to derivatives with respect to ψ."""
     return replace(found, seen=before.at(found.kept).chain(found.seen))
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Drop the candidates that no mode moves. Raise ValueError if the user named one of them."""
+    """Return the candidates without those that no mode moves.
+
+    Raise ValueError if the user named one of these.
+    """
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
     for k, rows in enumerate(there.groups):
@@ -210,7 +213,7 @@ def _of_change(
 ) -> tuple[Sensitivities, tuple[int, ...]]:
     """Return the changed structure's sensitivities at the same candidates, and the modes to measure on it.
 
-    These modes have the highest MAC with the unchanged structure's modes at the candidates.
+    The modes chosen are those most similar, by MAC at the candidates, to the modes of the unchanged structure.
     """
     before = paired.observed(start[None]).shapes[0][:, list(picked)]
     try:

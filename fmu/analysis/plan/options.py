@@ -1,4 +1,4 @@
-"""Alternatives to a planned test and their information: other modes, repeats, and structural changes."""
+"""Information from alternatives to a planned test: other modes, repeats, and structural changes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ ENOUGH = 0.95
 def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> pd.DataFrame:
     """Return a table of each mode's information at the chosen sensors, in nats.
 
-    Columns: ``frequency_hz`` at the reference; ``alone``, the information from this mode only; ``needed``, the
-    information lost without this mode; ``frequency_only``, the information lost if its mode shape is not measured;
-    ``twice_as_accurate``, the gain if its frequency error is halved.
+    Columns: ``frequency_hz`` at the reference parameters; ``alone``, the information from this mode only;
+    ``needed``, the information lost without this mode; ``frequency_only``, the information lost if its mode shape
+    is not measured; ``twice_as_accurate``, the gain if its frequency error is halved.
     """
     every = list(design.modes)
     whole = design.readings().value_of(chosen)
@@ -89,7 +89,7 @@ def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.Data
 
 
 def enough_repeats(table: pd.DataFrame) -> int | None:
-    """Return the number of tests beyond which repeats hardly reduce the sds, or None if each repeat does."""
+    """Return the number of tests beyond which the standard deviations hardly fall, or None if they still fall."""
     sd = table["median_sd"].to_numpy()
     return next((int(table.index[k]) for k in range(len(sd) - 1) if sd[k + 1] > ENOUGH * sd[k]), None)
 
@@ -135,7 +135,7 @@ def change_table(
 
 
 def _common(one: Sensitivities, other: Sensitivities) -> tuple[IntArray, IntArray]:
-    """Return the row indices, in each of two sensitivities, of the draws that both contain."""
+    """Return the draws that two sensitivities share, as row indices into each of them."""
     n = max(len(s.seen.frequencies) if s.kept is None else len(s.kept) for s in (one, other))
     masks = [np.ones(n, dtype=bool) if s.kept is None else s.kept for s in (one, other)]
     both = masks[0] & masks[1]

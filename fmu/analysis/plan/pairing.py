@@ -1,4 +1,4 @@
-"""Check that MAC at the planned sensors would distinguish the modes."""
+"""Check that the modes could be paired by MAC at the planned sensors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Pairing:
     wrong : ndarray, shape (m,)
         Fraction of the tests in which each measured mode was paired with the wrong mode.
     taken_for : ndarray of int, shape (m,)
-        Index of the mode with which each mode was most often confused; its own index if it never was.
+        Index of the mode with which each mode was most often confused; its own index if it was never confused.
     """
 
     wrong: FloatArray

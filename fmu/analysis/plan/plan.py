@@ -1,4 +1,4 @@
-"""`fmu.plan`: the sensors, modes, repeats and structural changes that best determine the parameters."""
+"""`fmu.plan`, which finds the sensors, modes, repeats and changes that best determine the parameters."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def _choose(
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the most informative choice, and the most informative choice that allows pairing by MAC.
 
-    Both are the same if no choice allows pairing.
+    The second is the same as the first if no choice allows pairing.
     """
     rounded = [int(k) for k in np.argsort(-relaxed.weights, kind="stable")]
     most = choose(readings, limits, [usual[INDEPENDENCE], rounded])
@@ -230,7 +230,7 @@ def _frequency_sd(data: ModalData, given: ArrayLike | None, n_modes: int) -> Flo
 
 
 def _usual_choices(design: Design, limits: Limits, energy: FloatArray | None) -> dict[str, tuple[int, ...]]:
-    """Return the choices made by the customary rules, by name, with as many sensors as the budget allows."""
+    """Return the choices that the customary rules make within the budget, keyed by rule."""
     shapes, groups = design.found.nominal.shapes[0][:, list(design.modes)], design.candidates.groups
     rules: dict[str, Callable[[Limits], tuple[int, ...]]] = {
         INDEPENDENCE: lambda limits: baselines.effective_independence(shapes, groups, limits),

@@ -110,12 +110,12 @@ class Plan:
 
     @property
     def named_sensors(self) -> tuple[Dof, ...]:
-        """`sensors` with place names instead of places wherever names are given."""
+        """`sensors`, with each place replaced by its name where it has one."""
         return tuple((self.place_names.get(place, place), direction) for place, direction in self.sensors)
 
     @property
     def gap(self) -> float:
-        """Largest fraction of the best possible information that the plan may miss."""
+        """Upper bound on the fraction of the best possible information that the plan misses."""
         return (self.bound - self.information) / self.bound if self.bound > 0.0 else 0.0
 
     @property
@@ -132,7 +132,7 @@ class Plan:
     def parameters(self) -> pd.DataFrame:
         """Return a table of expected standard deviations in SI units, one row per parameter.
 
-        Columns: ``before`` the test, with ``frequencies`` alone, and ``after`` the test.
+        Columns: ``before`` the test, after measuring the ``frequencies`` alone, and ``after`` the whole test.
         """
         readings = self.design.readings(frequency_sd=self.frequency_sd)
         columns = {
@@ -150,7 +150,7 @@ class Plan:
         return self.decision.expect(self.design.target, readings.with_sensors(self.every))
 
     def with_bounds(self) -> pd.DataFrame:
-        """Return `curve` with a column ``bound``: an upper bound on the information from any choice of that size.
+        """Return `curve` with a column ``bound``, an upper bound on the information from any choice of that size.
 
         The bound is computed for up to eight numbers of sensors and is NaN for the others. With a budget, which
         does not fix the number of sensors, it is NaN everywhere.
@@ -166,7 +166,10 @@ class Plan:
         return found.assign(bound=bounds)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return a table of channels: sensor, place, direction, coordinates in m if known, ``mounted``."""
+        """Return a table with one row per channel.
+
+        The columns are the sensor, place, direction, coordinates in m if known, and ``mounted``.
+        """
         there, named = self.design.candidates, iter(self.named_sensors)
         rows: list[dict[str, object]] = []
         for number, k in enumerate(self.every, 1):
@@ -284,7 +287,7 @@ class Plan:
 
 
 def cell(value: object) -> str:
-    """Format a table cell: a float with three digits, True as "yes", False as an empty string."""
+    """Format a table cell: a float with significant digits, True as ``"yes"``, False as an empty string."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else ""
     return significant(float(value)) if isinstance(value, float) else str(value)

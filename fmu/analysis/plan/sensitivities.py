@@ -1,4 +1,4 @@
-"""Modes and their derivatives, at draws of the parameters, at all candidate sensors of a planned test."""
+"""Modes and their derivatives at all candidate sensors of a planned test, at draws of the parameters."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ class Certificate:
 
     Attributes
     ----------
-    frequency, shape : float
-        Largest relative frequency error; largest mode-shape error at a candidate, relative to the shape's largest
-        component there.
+    frequency : float
+        Largest relative frequency error.
+    shape : float
+        Largest mode-shape error at a candidate, relative to the shape's largest component at the candidates.
     draws : int
         Number of these draws.
     size : int
@@ -116,7 +117,7 @@ def paired_with_itself(
 def pick_modes(
     structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], modes: int | Sequence[int]
 ) -> tuple[tuple[int, ...], PairedStructure]:
-    """Return the 0-based indices of the modes to measure, and the structure paired with its modes up to them.
+    """Return the 0-based indices of the modes to measure, and the structure paired with all modes up to the last.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
     """Return the sensitivities of a structure with system matrices, at theta (n, n_parameters).
 
     A large structure is reduced within the range of the draws. The reduced basis covers all degrees of freedom, so
-    it gives mode shapes at all candidates. They are compared with the full model's at a few draws.
+    it gives mode shapes at all candidates. The reduced modes are compared with the full model's at a few draws.
     """
     nominal = paired.observed(start[None])
     n = len(theta)

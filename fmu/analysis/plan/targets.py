@@ -64,7 +64,7 @@ def damage_in(target: Target | None) -> DamageTarget | None:
 
 
 def target_of(target: Target | None, before: Before) -> FloatArray | None:
-    """Return the derivatives of a target with respect to the parameters, (n, t, P), or None without a target.
+    """Return the target's derivatives with respect to ψ, (n, t, P), or None if there is no target.
 
     Losses and predictions are differentiated at the draws by central differences.
 
@@ -96,7 +96,7 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
 
 
 def without_the_unneeded(before: Before, target: Target | None) -> Before:
-    """Drop the parameters that affect neither the test nor the target."""
+    """Return a copy without the parameters that affect neither the test nor the target."""
     if before.is_prior:
         return before
     slopes = [before.slopes(before.values), target_of(target, before)]

@@ -1,4 +1,4 @@
-"""Checks a problem before sampling: model, modes, gradient, identifiability and prior prediction."""
+"""Check a problem before sampling: model, modes, gradient, identifiability and prior prediction."""
 
 from __future__ import annotations
 
@@ -148,7 +148,10 @@ class Check:
         return said + self.prior.sentences()
 
     def mode_table(self) -> pd.DataFrame:
-        """Return the computed modes as text; three or more successive modes that move no sensor share a row."""
+        """Return a text table of the computed modes, in which three or more successive modes may share a row.
+
+        These are modes that move no sensor, and rigid-body modes.
+        """
         return modes_as_text(self.modes)
 
     def sensor_table(self) -> pd.DataFrame:
@@ -165,12 +168,12 @@ class Check:
         return shown
 
     def parameter_table(self) -> pd.DataFrame:
-        """Return the table of parameters as text."""
+        """Return a text table of the parameters."""
         numbers = self.parameters.select_dtypes("number").columns
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
     def _blocks(self) -> list[Block]:
-        """Return the sections below the model, each with a title, sentences and a text table."""
+        """Return all sections of the report after the model's, each with a title, sentences and a text table."""
         blocks: list[Block] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumption_block(),
@@ -235,7 +238,7 @@ class Check:
         return "\n\n".join([*parts, self.verdict()])
 
     def verdict(self) -> str:
-        """Return the warnings as text, or ``"No warnings."``."""
+        """Return all warnings as text, or ``"No warnings."``."""
         if not self.doubts:
             return "No warnings."
         return "Warnings\n" + "\n".join(wrap_text(doubt, "  - ", "    ") for doubt in self.doubts)
@@ -335,7 +338,7 @@ def check(
 
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
-    """Return a list with a sentence on parameters that are neither updated nor scatter, if there are any."""
+    """Return a list with a sentence on the parameters that are neither updated nor scatter; empty if none."""
     likelihood = discrepant_likelihood(problem)
     scattered = [] if likelihood is None else likelihood.errors.scattered.tolist()
     idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]

@@ -18,9 +18,9 @@ _ALIKE = 0.999
 def discrepancy_doubts(problem: UpdatingProblem) -> list[str]:
     """Return warnings about a problem's discrepancies at its starting point, one sentence each.
 
-    A parameter that changes no mode has no scatter to infer. Two inferred standard deviations cannot be told apart
-    if their Fisher information (of Gaussian errors with these variances) is singular: their errors then have the
-    same pattern.
+    A warning concerns a parameter that should scatter but changes no mode, or two inferred standard deviations
+    that the data cannot tell apart because their errors have the same pattern. Their Fisher information is then
+    singular.
     """
     likelihood = discrepant_likelihood(problem)
     if likelihood is None:

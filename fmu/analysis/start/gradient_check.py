@@ -1,4 +1,4 @@
-"""Compares the exact gradient of a log-probability with finite differences."""
+"""Compare the exact gradient of a log-probability with finite differences."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SMALL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class GradientCheck:
-    """A gradient compared with central differences, in coordinates of order one.
+    """A gradient compared with central differences, in scaled coordinates of order one.
 
     Attributes
     ----------
@@ -38,7 +38,8 @@ class GradientCheck:
     theta : ndarray, shape (n, ndim), SI units
         The points.
     exact, difference : ndarray, shape (n, ndim)
-        ∂log P/∂u with u = (θ − offset)/scale; the differences use the step that agrees best.
+        ∂log P/∂u with u = (θ − offset)/scale. Of several step lengths, the differences use the one that agrees
+        best.
     """
 
     names: tuple[str, ...]
@@ -49,7 +50,7 @@ class GradientCheck:
 
     @property
     def relative_error(self) -> FloatArray:
-        """Error of each gradient component relative to the gradient's size at the point, shape (n, ndim).
+        """Error of each gradient component, divided by the gradient's size at the point, shape (n, ndim).
 
         The size is the largest absolute component at the point. It is at least a thousandth of the largest at any
         point, because the gradient vanishes near a maximum, and at least 1.
@@ -108,8 +109,8 @@ def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     Returns
     -------
     GradientCheck
-        Each point uses whichever of three step lengths agrees best: long steps suffer from truncation, short ones
-        from rounding.
+        At each point, the best of three step lengths is used: long steps suffer from truncation, short ones from
+        rounding.
     """
     density = ScaledDensity(problem)
     theta = np.vstack([problem.start, problem.sample_prior(np.random.default_rng(seed), _RANDOM)])

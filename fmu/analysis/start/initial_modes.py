@@ -1,4 +1,4 @@
-"""Computed modes at the starting point, their pairing with the measured modes, and warnings."""
+"""Compute the modes at the starting point, pair them with the measured modes, and warn of doubtful pairs."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def _of_function(
     labels: tuple[str, ...],
     measured: FloatArray,
 ) -> InitialModes:
-    """Return the modes that a user's function computes, in its own order, and their pairing."""
+    """Return the modes that a user's function computes, in its own order, paired with the measured ones."""
     answer = function.at(point)
     alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
@@ -246,7 +246,7 @@ def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: Floa
 
 
 def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
-    """Return `found` with the MPC, and with warnings and notes from comparing the mode shapes."""
+    """Return `found` with the modal phase collinearity, and with warnings and notes on the mode shapes."""
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
@@ -285,11 +285,11 @@ def _find_seen(
 
 
 def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> list[str]:
-    """Describe the two directions with the largest fractions of each mode's kinetic energy, one text per mode.
+    """Describe, for each mode, the two directions with the largest fractions of its kinetic energy.
 
     The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. Terms of M that couple directions, such as
-    displacement and rotation in a consistent mass matrix, are assigned to neither: φ_dᵀ (Mφ)_d, which includes
-    them, can exceed the total energy.
+    displacement and rotation in a consistent mass matrix, are left out: φ_dᵀ (Mφ)_d, which includes them, can
+    exceed the total energy.
     """
     directions = np.array([direction for _, direction in model.structure.dofs])
     names = [str(name) for name in dict.fromkeys(directions)]
@@ -313,7 +313,7 @@ _OF_PAIRS = ("measured, Hz", "error", "MAC", "subspace MAC", "MPC")
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
     """Return a text table with one row per computed mode, and dashes in cells that do not apply.
 
-    Three or more successive rigid-body modes share a row, and so do three or more that move no sensor.
+    Three or more successive modes share a row if they are rigid-body modes, or if they move no sensor.
     """
     import pandas as pd
 

@@ -1,4 +1,4 @@
-"""Measured FRFs, compared with the model before updating."""
+"""Compare measured FRFs with the model before updating."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class MeasuredInTest:
         return cls(term.of_test, term.data, computed)
 
     def rows(self) -> list[dict[str, str]]:
-        """Return the table row of each FRF."""
+        """Return the table rows of this test, one dict of column names to text per FRF."""
         measured, used = np.asarray(self.data.values), self.data.used
         receptance = self.data.as_receptance()
         rows = []

@@ -53,7 +53,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def _describe_held(problem: UpdatingProblem) -> list[str]:
-    """Return a list with a sentence on the parameters that are not updated; empty if there are none."""
+    """Return a list with a sentence on the parameters that are not updated, or an empty list if all are."""
     held = [f"{p.name} = {with_unit(p.start, p.unit)}" for p in problem.layout.structural if not p.updated]
     return [f"Not updated: {', '.join(held)}."] if held else []
 
@@ -83,7 +83,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def _beside_structure(problem: UpdatingProblem, k: int) -> str:
-    """Return the quantity outside the structure that parameter `k` (an index from 0) changes; otherwise empty."""
+    """Return what parameter `k` (an index from 0) changes outside the structure, or an empty string."""
     roles = {
         p.name: role
         for term in problem.likelihood.responses
@@ -95,9 +95,9 @@ def _beside_structure(problem: UpdatingProblem, k: int) -> str:
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and the colour of each row of `parameter_table`.
+    """Return the structure as SVG, and the colour in it of each row of `parameter_table`.
 
-    Without a drawing, the SVG is empty and each colour is None.
+    If the structure cannot be drawn, the SVG is empty and each colour is None.
     """
     listed, structure = _find_listed(problem), problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):

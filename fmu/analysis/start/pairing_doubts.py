@@ -1,4 +1,4 @@
-"""Warnings about pairing computed with measured modes, and notes on it."""
+"""Warnings about the pairing of computed with measured modes, and notes on it."""
 
 from __future__ import annotations
 
@@ -45,10 +45,9 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings about measured modes whose shape matches no computed mode, or two, by MAC.
+    """Return warnings about measured modes whose shape is like no computed mode's, or like two, judged by MAC.
 
-    `alike` is the MAC, shape (n_modes, n_computed). Close modes whose subspace matches the measured one are
-    skipped.
+    `alike` (n_modes, n_computed) is the MAC. Close modes are skipped if their subspace matches the measured one.
     """
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):

@@ -1,4 +1,4 @@
-"""Prior prediction of the measured frequencies."""
+"""Predict the measured frequencies from the prior."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """`frequencies`, or NaN of shape (2, n_modes) if fewer than two draws leave the spread undefined."""
+        """`frequencies`, or NaN of shape (2, n_modes) if there are fewer than two draws and so no spread."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 
@@ -151,7 +151,7 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
 def _noise_sd(
     problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the frequency errors' standard deviations, (n_modes,); inferred ones are averaged over the prior.
+    """Return the standard deviations of the frequency errors, (n_modes,), Hz, averaged over the prior if inferred.
 
     They are NaN if the error model has no frequency errors.
     """

@@ -1,4 +1,4 @@
-"""Traces in ArviZ format: converting a run, reading, storing, and recording provenance.
+"""Traces in ArviZ format: convert a run, read and store a trace, and record its provenance.
 
 Reading order: conversion, misfit, reading, provenance, modal_states, failure_ledger.
 """

@@ -1,4 +1,4 @@
-"""Conversion of a sampler run to an ArviZ trace, and storage of traces in netCDF files.
+"""Convert a sampler run to an ArviZ trace, and store traces in netCDF files.
 
 All samplers share one conversion, so all traces have the same groups, names and dimensions ``(chain, draw, *)``.
 For an ensemble sampler the draw dimension has length steps × walkers and is step-major; the trace's attributes
@@ -213,9 +213,9 @@ def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a random generator that depends on the run's seed, independent of the chains' own generators.
+    """Return a random generator for a `stream` number, independent of the chains' own generators.
 
-    Each `stream` number gives a different generator.
+    The run's seed and the stream determine its numbers.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
@@ -346,7 +346,7 @@ def _frequency_groups(
 
 
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
-    """Return the trace groups that describe each test, and the next test."""
+    """Return the trace groups ``tests`` and ``next_test`` in a dict, for a problem with several tests."""
     import xarray as xr
 
     from fmu.analysis.fit.populations import GROUP, population_group
@@ -391,5 +391,5 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
 
 
 def _stack_terms(terms: FloatArray, squares: FloatArray) -> FloatArray:
-    """Stack log-likelihood terms (n, n_modes) on squared residuals (n, n_kinds, n_modes) along axis 1."""
+    """Stack log-likelihood terms (n, n_modes) and squared residuals (n, n_kinds, n_modes) along axis 1."""
     return np.concatenate([terms[:, None], squares], axis=1)

@@ -1,4 +1,4 @@
-"""Damage estimated by a run: each parameter's loss in each state, and the probability of large losses."""
+"""Damage estimated by a run: each parameter's stiffness loss in each state, and probabilities of large losses."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ WITHHELD = "withheld"
 
 
 def probably(p: float) -> str:
-    """Format a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``.
+    """Format a probability estimated from draws as a percentage: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``.
 
-    NaN, a probability that is not given, becomes ``"withheld"``.
+    NaN marks a withheld probability and becomes ``"withheld"``.
     """
     if np.isnan(p):
         return WITHHELD
@@ -96,7 +96,11 @@ def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) ->
 
 
 def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -> pd.DataFrame:
-    """Return the table of losses in a trace group, with a row for each parameter in each state or test."""
+    """Return the table of losses in a trace group, with one row per parameter in each state or test.
+
+    Each state or test has one more row, named ``"any"``, for the largest loss over all parameters. Raise
+    ValueError unless `beyond` is between 0 and 1.
+    """
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
         raise ArgumentError("beyond", "must be between 0 and 1, such as 0.05", wrong[0])
@@ -121,7 +125,7 @@ def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -
 
 
 def _reason_to_withhold(trace: xr.DataTree) -> str:
-    """Return a sentence on why loss probabilities are withheld, or an empty string if they are not."""
+    """Return the reason why loss probabilities are withheld, or an empty string if they are not."""
     contradicted = contradicted_laws(trace)
     if not contradicted:
         return ""

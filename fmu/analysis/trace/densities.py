@@ -1,4 +1,4 @@
-"""Optional properties of a log-density, and defaults for a density without them."""
+"""Read the optional properties of a log-density, with defaults if it lacks them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The distinct draws of a run, so that the model is solved only once for repeated draws."""
+"""Find the distinct draws of a run, so that the model is solved only once for repeated draws."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NUMBERS = 2**18
 
 
 def batch_of(theta: FloatArray) -> int:
-    """Return the number of draws to evaluate in one batch, which depends on the shape of theta (n, ndim)."""
+    """Return the number of draws to evaluate in one batch; it is smaller if theta (n, ndim) has many columns."""
     return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
 
 
@@ -61,7 +61,7 @@ class DistinctDraws:
         return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
 
     def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int | None = None) -> FloatArray:
-        """Evaluate a function at every draw, shape (chains, draws, ...); report progress as "predictions".
+        """Return a function's values at every draw, shape (chains, draws, ...); report progress as "predictions".
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Stored steps of an emcee ensemble, read from a sampler, a backend or an HDF file."""
+"""Read the stored steps of an emcee ensemble from a sampler, a backend or an HDF file."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class StoredEnsemble:
     def find_moves(self, thin_by: int) -> BoolArray | None:
         """Return a mask (steps, walkers) of the walkers that moved, or None if some steps were not stored.
 
-        For the first step it follows from the number of accepted proposals.
+        A walker moved in the first step if emcee accepted more of its proposals than it moved later.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:
@@ -90,7 +90,7 @@ class StoredEnsemble:
 
 
 def check_alike(ensembles: list[StoredEnsemble]) -> None:
-    """Raise ValueError unless all ensembles agree in walkers, parameters, names and types of blobs."""
+    """Raise ValueError unless all ensembles have the same walkers, parameters, names and types of blobs."""
     first = ensembles[0]
     for k, ensemble in enumerate(ensembles):
         for what, one, other in (
@@ -109,7 +109,7 @@ def _kind(blobs: NDArray[Any] | None) -> str:
 
 
 def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
-    """Return the emcee backend of a source, and a description of where it is."""
+    """Return the emcee backend of a source, and a text that says where it is."""
     from emcee.backends import Backend, HDFBackend
 
     if isinstance(source, str | os.PathLike):
@@ -144,7 +144,7 @@ def _require_steps(backend: Any) -> Any:
 
 
 def _parameter_names(given: Any) -> tuple[str, ...]:
-    """Return a sampler's ``parameter_names``, in order of the parameters.
+    """Return a sampler's ``parameter_names`` as a tuple, in the order of the parameters.
 
     A name that covers several parameters is numbered: ``"k[0]"``, ``"k[1]"``.
     """

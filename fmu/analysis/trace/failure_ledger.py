@@ -1,4 +1,4 @@
-"""The table of a run's failed solves, and the failure rate at which the run stops."""
+"""Tabulate a run's failed solves, and check the failure rate at which the run stops."""
 
 from __future__ import annotations
 

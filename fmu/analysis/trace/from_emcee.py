@@ -1,4 +1,4 @@
-"""Conversion of plain emcee runs to traces."""
+"""Convert runs of plain emcee to traces."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def from_emcee(
 
 
 class _Unknown:
-    """Stands in for an unknown density; it has only parameter names."""
+    """Placeholder for an unknown density, with nothing but parameter names."""
 
     name = "emcee"
 
@@ -149,7 +149,7 @@ class _Unknown:
 
 @dataclass(frozen=True)
 class Kept:
-    """The stored steps used as warm-up and as draws, equally many for each ensemble.
+    """The stored steps used as warm-up and as draws, the same number for each ensemble.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ class Kept:
 
     @classmethod
     def of(cls, ensembles: list[StoredEnsemble], discard: list[int], thin: int) -> Kept:
-        """Return the last steps, equally many for each ensemble; raise ValueError if an ensemble has none."""
+        """Choose the last steps of each ensemble, the same number for all; raise ValueError if one has none."""
         each = []
         for ensemble, skipped in zip(ensembles, discard, strict=True):
             stored = len(ensemble.chain)
@@ -184,7 +184,7 @@ class Kept:
     def evaluations(self, k: int, stored: int, thin_by: int) -> tuple[IntArray, IntArray]:
         """Return each walker's evaluation counts in ensemble `k`, for its warm-up steps (n,) and its draws (n,).
 
-        The counts add up to all evaluations: one per step, and one at the start.
+        They add up to the cost of the whole run: one evaluation per step, and one at the start.
         """
         at = np.concatenate([self.warmup[k], self.draws[k]])
         until = thin_by * (at + 1) + 1
@@ -194,7 +194,10 @@ class Kept:
 
 
 def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnsemble]) -> tuple[str, ...]:
-    """Return the parameter names. Raise ValueError if they disagree or do not fit the stored chain."""
+    """Return the parameter names.
+
+    Raise ValueError if two sources disagree, or the names do not fit the stored chain or are not valid.
+    """
     ndim, of_sampler = ensembles[0].shape[1], ensembles[0].names
     of_problem = () if problem is None else names_of(problem)
     found = (() if names is None else tuple(names)) or of_problem or of_sampler
@@ -221,7 +224,7 @@ def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
 
 
 def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunResult:
-    """Return the ensembles as a `RunResult`: step-major draws, and costs that add up to all evaluations."""
+    """Return the ensembles as a `RunResult`, with step-major draws and the cost of all evaluations."""
     walkers = ensembles[0].shape[0]
     accepted: list[NDArray[Any]] = []
     for ensemble in ensembles:
@@ -269,7 +272,7 @@ def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | None) -> dict[str, NDArray[Any]]:
-    """Return the blobs at the draws by name, each of shape (ensembles, draws, ...)."""
+    """Return the blobs at the draws, keyed by name, each of shape (ensembles, draws, ...)."""
     if ensembles[0].blobs is None:
         if names is not None:
             raise ValueError(f"blob_names: need blobs (got {list(names)}, and none are stored)")
@@ -300,9 +303,9 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
 def _check_log_prob(
     draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float
 ) -> FloatArray | None:
-    """Compare the log-probability at five draws with the problem; return the frequencies found among the blobs.
+    """Check the stored log-probability against the problem at five draws, and take its frequencies from the blobs.
 
-    The frequencies, shape (chains, draws, n_modes), are removed from `blobs`; the result is None if `blobs` does
+    Return the frequencies (chains, draws, n_modes) and remove them from `blobs`, or return None if `blobs` does
     not contain them. Raise ValueError if a stored log-probability differs from the computed one.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])

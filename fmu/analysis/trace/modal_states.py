@@ -48,7 +48,10 @@ def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | No
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return the parameter vectors to compare: starting point, posterior mean, highest maximum if known."""
+    """Return the parameter vectors to compare, keyed by state: before updating, posterior mean, highest maximum.
+
+    The highest maximum is missing if `maxima` is None.
+    """
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
         states[MAXIMUM] = maxima[0].theta
@@ -115,7 +118,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 
 
 def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, Any]:
-    """Return computed and measured mode shapes at the sensors in all tests, and their MAC."""
+    """Return computed and measured mode shapes at all tests' sensors, and their MAC, as dataset variables."""
     seen = problem.model.observed(problem.model_parameters(theta)).shapes
     measured = np.asarray(problem.data.shapes)
     pairs = [mac(seen[:, :, [k]], measured[:, [k]])[:, 0, 0] for k in range(measured.shape[1])]
@@ -231,9 +234,9 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 
 
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
-    """Return the trace group that stores the sketch of a structure with several tests, by name.
+    """Return, in a dict, the trace group with the sketch of a structure that has several tests.
 
-    The dict is empty without geometry. The structure is that of the first test; `sketch_of` reads the group.
+    The dict is empty if the geometry is unknown. The structure is the first test's. `sketch_of` reads the group.
     """
     import xarray as xr
 
@@ -251,9 +254,9 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return the sketch of the structure, or None if the trace has none.
+    """Return the sketch of the structure, or None if the trace stores none.
 
-    It has none if the model has no geometry, or if an older version of fmu wrote the trace.
+    A trace stores none if the model has no geometry, or if an older version of fmu wrote the trace.
     """
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:

@@ -1,4 +1,4 @@
-"""Reading and writing of trees of datasets as netCDF-4 files with h5py.
+"""Read and write trees of datasets as netCDF-4 files with h5py.
 
 NetCDF-4 is HDF5 with dimension scales, so xarray, ArviZ and other programs can read the files. The writer in
 xarray takes a second instead of 0.1 s, because it reopens every scale for each of a hundred variables.
@@ -103,10 +103,10 @@ def _set_attributes(
 
 
 def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield path and dataset for the group and for every group within it.
+    """Yield the path and dataset of the group and of every group below it.
 
-    `scales` maps file addresses to the variable names of the parent groups. Without it, HDF5 would search the
-    whole file for the name of the scale that an axis refers to.
+    `scales` maps the HDF5 addresses of variables in parent groups to their names. Looking names up here avoids
+    HDF5's search of the whole file for each dimension scale.
     """
     import h5py
 
@@ -120,7 +120,7 @@ def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Ite
 
 
 def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[int, str]) -> xr.Dataset:
-    """Return the dataset of a group, given its variables and the names of scales by address."""
+    """Return a group's dataset, given its variables and, keyed by HDF5 address, the names of dimension scales."""
     import xarray as xr
 
     variables, coordinates = {}, set[str]()
@@ -142,7 +142,7 @@ def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[
 
 
 def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
-    """Drop the attributes that belong to the file format; turn arrays of one number into numbers."""
+    """Return the attributes without those of the file format, with one-element arrays as numbers."""
     return {
         name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()

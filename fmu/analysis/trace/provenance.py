@@ -44,7 +44,7 @@ def _plain(value: object) -> object:
 def describe_inputs(
     density: LogDensity, sampler: str, settings: Mapping[str, object], run: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return the inputs that determine the draws: problem, sampler with settings, and run arguments."""
+    """Return the inputs that determine the draws as a dict: problem, sampler, its settings, and run arguments."""
     describe = getattr(density, "configuration", None)
     problem = (
         describe()
@@ -77,12 +77,12 @@ def configuration_hash(settings: object) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and all packages that affect the numbers, by name."""
+    """Return the versions of Python and of all packages that affect the numbers, keyed by name."""
     return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
 def _solver(density: LogDensity) -> str:
-    """Return the name of the library that factorises the full model's matrices; empty without matrices."""
+    """Return the name of the library that factorises the full model's matrices, or "" if it has none."""
     from fmu.fem.pairing.paired_structure import structure_of
 
     structure = structure_of(density.model.parts[0]) if is_updating(density) else None

@@ -1,4 +1,4 @@
-"""Functions that read a trace: parameters, draws, walkers, and optional groups.
+"""Read parameters, draws, walkers and optional groups from a trace.
 
 Some groups and variables are missing in traces of older versions, of other samplers and of plain log-densities.
 """
@@ -61,7 +61,7 @@ def problem_of(trace: xr.DataTree) -> dict[str, Any]:
 
 
 def with_group(trace: xr.DataTree, group: str, dataset: xr.Dataset) -> xr.DataTree:
-    """Return a copy of the trace with one more group; the copy shares the arrays."""
+    """Return a copy of the trace with one more group. The copy shares the other arrays with the original."""
     import xarray as xr
 
     extended = trace.copy()
@@ -75,9 +75,9 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the parameter names to show in tables and figures.
+    """Return the names of the parameters to show in tables and figures.
 
-    These are all parameters or, if there are many, all except the test scores of populations.
+    Test scores of populations are left out if there are many parameters.
     """
     names = parameter_names(trace)
     scores = set(score_names(trace))
@@ -86,7 +86,7 @@ def told_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
-    """Return each parameter's role in a problem with several tests, by name; empty for a single test.
+    """Return each parameter's role in a problem with several tests, keyed by name; empty for a single test.
 
     A role has three parts: the kind, the structural parameter, and the test, group or covariate; see
     `fmu.posterior.joint.varies.base.Role`.
@@ -99,12 +99,12 @@ def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
 
 
 def later_states(trace: xr.DataTree) -> list[str]:
-    """Return the structure's states other than the reference state, from a trace with losses."""
+    """Return the names of the structure's states after the reference state, from a trace with losses."""
     return [str(state) for state in trace[LOSSES]["state"].to_numpy().tolist()]
 
 
 def is_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return True if a parameter describes a later state of the structure, by its loss or its value there."""
+    """Return True if a parameter is a stiffness loss in a later state of the structure, or a value there."""
     kind, _, where = roles_of(trace).get(name, ("", "", ""))
     return kind in ("loss", "group") and has(trace, LOSSES) and where in later_states(trace)
 
@@ -115,17 +115,17 @@ def score_names(trace: xr.DataTree) -> list[str]:
 
 
 def sds_of_population(trace: xr.DataTree, name: str) -> dict[str, str]:
-    """Return the names of the population standard deviations of parameter `name`, by group of tests.
+    """Return the names of the population standard deviations of parameter `name`, keyed by group of tests.
 
-    The group is an empty string if all tests share one standard deviation; the dict is empty if the parameter has
-    no population.
+    The key is ``""`` if all tests share one standard deviation. The dict is empty if the parameter has no
+    population.
     """
     every = [(where, k) for k, (kind, of, where) in roles_of(trace).items() if kind == "sd" and of == name]
     return {where: k for where, k in every if where} or dict(every[:1])
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:
-    """Return the trace with only the parameters of `told_names`; the group ``tests`` still has all tests."""
+    """Return the trace with only the parameters of `told_names`. The group ``tests`` is unchanged."""
     chosen = list(told_names(trace))
     if len(chosen) == len(parameter_names(trace)):
         return trace
@@ -140,7 +140,7 @@ def without_scores(trace: xr.DataTree) -> xr.DataTree:
 
 
 def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the units of the sampled parameters, in the order of theta; empty for a dimensionless parameter."""
+    """Return the units of the sampled parameters, in the order of theta; "" for a dimensionless parameter."""
     variables = trace["posterior"].variables
     return tuple(str(variables[name].attrs.get("units", "")) for name in parameter_names(trace))
 
@@ -181,7 +181,7 @@ def modes_are_data(trace: xr.DataTree) -> bool:
 
 
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the measured modes; if only some are used in updating, the others are marked."""
+    """Return the names of the measured modes. If only some were used in updating, the others are marked."""
     labels, are_data = trace["observed_data"]["mode"].to_numpy(), modes_are_data(trace)
     return [
         str(label) if used or not are_data else f"{label} (not used)"

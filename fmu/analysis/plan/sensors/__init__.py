@@ -1,1 +1,1 @@
-"""Sensor selection by expected information, an upper bound on it, and selection by customary rules."""
+"""Select sensors by expected information or by customary rules, and bound the information of any choice."""

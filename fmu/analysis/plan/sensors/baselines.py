@@ -70,7 +70,7 @@ def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> t
 
 
 def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> tuple[int, ...]:
-    """Apply a rule with as many sensors as the budget allows; return an empty choice if it allows none."""
+    """Apply a selection rule with as many sensors as the budget allows; return () if it allows none."""
     for count in range(limits.count, 0, -1):
         chosen = rule(replace(limits, count=count))
         if limits.is_affordable(chosen):
@@ -79,7 +79,7 @@ def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> 
 
 
 def largest_off_diagonal(products: FloatArray) -> FloatArray:
-    """Return the largest MAC between two different mode shapes, shape (…), given their products ΦᵀΦ (…, m, m)."""
+    """Return the largest MAC between two different mode shapes, given ΦᵀΦ (…, m, m); shape (…)."""
     m = products.shape[-1]
     if m == 1:
         return np.zeros(products.shape[:-2])
@@ -91,7 +91,7 @@ def largest_off_diagonal(products: FloatArray) -> FloatArray:
 
 
 def auto_mac(shapes: FloatArray, rows: Sequence[int]) -> FloatArray:
-    """Return the AutoMAC (m, m) of mode shapes (rows, m), using only the given rows."""
+    """Return the AutoMAC (m, m) of mode shapes (rows, m), restricted to the given rows."""
     picked = shapes[list(rows)]
     return mac(picked, picked)
 

@@ -103,7 +103,7 @@ class _Point(NamedTuple):
 
 
 def _state(readings: Readings, w: FloatArray) -> State:
-    """Return the information state for weights w (n_candidates,)."""
+    """Return the information if each candidate counts with its weight in w (n_candidates,)."""
     weight = np.zeros(readings.shapes.shape[1])
     for column in readings.groups.T:
         np.add.at(weight, column[column >= 0], w[column >= 0])
@@ -125,7 +125,10 @@ def _at(readings: Readings, w: FloatArray) -> _Point:
 
 
 def _majorant(readings: Readings, here: _Point, mixed: FloatArray) -> FloatArray:
-    """Return g of the module docstring, shape (n_candidates,), with the b that belong to the weights `mixed`."""
+    """Return g, shape (n_candidates,), with the b that belong to the weights `mixed`.
+
+    The module docstring defines g and b.
+    """
     return _by_candidate(readings, here.F, _state(readings, mixed).lost)
 
 

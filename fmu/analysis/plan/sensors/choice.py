@@ -1,4 +1,4 @@
-"""Sensor selection: greedy by expected information, then exchanges of one sensor at a time.
+"""Select sensors greedily by expected information, then exchange one sensor at a time.
 
 For independent errors the greedy choice reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher
 1978, *Math. Program.* 14, 265–294). This does not hold for mode shapes of unknown scale; `bound` then shows how
@@ -70,8 +70,8 @@ def choose(
     """Choose candidates by greedy selection and exchanges; return them without the mounted ones.
 
     The most important candidate comes first. The exchanges start from greedy choices and from `starts`, which may
-    violate limits; the best result is returned. With `accept`, only choices that it accepts are considered; the
-    result is None if it accepts no initial choice.
+    violate limits; the best result is returned. If `accept` is given, only choices that it accepts are considered,
+    and the result is None if it accepts no initial choice.
     """
     found = [greedy(readings, limits)]
     if np.isfinite(limits.budget):
@@ -111,7 +111,7 @@ def greedy(
 
 
 def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[int, ...]:
-    """Return a choice within the limits: the candidates of `start` that fit, then others by greedy selection."""
+    """Return a choice within the limits: the candidates of `start` that fit, completed by greedy selection."""
     found: list[int] = []
     for k in start:
         if len(found) < limits.count and limits.find_allowed(found)[k]:
@@ -122,7 +122,10 @@ def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[in
 def exchange(
     readings: Readings, limits: Limits, chosen: Sequence[int], accept: Accept | None = None
 ) -> tuple[int, ...]:
-    """Exchange single sensors as long as this improves the choice; only choices that `accept` accepts are used."""
+    """Exchange one sensor at a time as long as this improves the choice.
+
+    If `accept` is given, only choices that it accepts are considered.
+    """
     found = list(chosen)
     value = readings.value_of([*limits.mounted, *found])
     for _ in range(_MOST_SWEEPS):
@@ -144,7 +147,10 @@ def exchange(
 
 
 def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Sort the chosen sensors by importance, by repeatedly removing the least important; most important first."""
+    """Sort the chosen sensors by importance, the most important first.
+
+    The least important sensor is found and removed repeatedly.
+    """
     left, order = list(chosen), []
     while left:
         values = [readings.value_of([*limits.mounted, *left[:i], *left[i + 1 :]]) for i in range(len(left))]

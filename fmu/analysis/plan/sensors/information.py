@@ -58,7 +58,7 @@ class Readings:
         return State(self.prior, np.zeros((n, m, p)), np.zeros((n, m)))
 
     def with_sensors(self, chosen: Sequence[int], state: State | None = None) -> State:
-        """Return the information after adding the candidates with these indices."""
+        """Return the information in `state`, or before any sensor, after adding the candidates in `chosen`."""
         found = self.start() if state is None else state
         for k in chosen:
             for row in self.groups[k][self.groups[k] >= 0]:
@@ -66,7 +66,7 @@ class Readings:
         return found
 
     def value(self, state: State) -> float:
-        """Return the expected information gain in nats, about the target or about all parameters."""
+        """Return the expected information gain in nats, about the target or, without one, about all parameters."""
         if self.target is None:
             return 0.5 * float(np.mean(np.linalg.slogdet(state.matrix)[1]))
         left = self.target @ np.linalg.solve(state.matrix, np.swapaxes(self.target, 1, 2))
@@ -159,7 +159,10 @@ class State:
 
 
 def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> Readings:
-    """Return the readings of only the given modes, with the information `prior` from their frequencies."""
+    """Return the readings restricted to the given modes.
+
+    `prior` (n, p, p) is the information before any sensor is placed, from the frequencies of these modes.
+    """
     picked = list(modes)
     return replace(
         readings, prior=prior, shapes=readings.shapes[:, :, picked], slopes=readings.slopes[:, :, picked]
@@ -167,7 +170,7 @@ def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> R
 
 
 def _log_det_of_one_plus(rows: FloatArray) -> FloatArray:
-    """Return log det(I + R Rᵀ) for each matrix R (n, k, p), shape (n,), from the smaller of R Rᵀ and RᵀR."""
+    """Return log det(I + R Rᵀ) for each matrix R (n, k, p), shape (n,), using the smaller of R Rᵀ and RᵀR."""
     n, k, p = rows.shape
     size = min(k, p)
     first = rows if k <= p else np.swapaxes(rows, 1, 2)
