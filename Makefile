@@ -29,7 +29,7 @@ RUN_PROGRAMS := tests/programs tests/report/test_there_and_back.py
 test: export OPENBLAS_NUM_THREADS = 1
 test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY)  ## Run the whole test suite, a worker a core
-	.venv/bin/python -m pytest --numprocesses=auto --no-loadscope-reorder $(RUN_PROGRAMS:%=--ignore=%)
+	.venv/bin/python -m pytest -p no:nbmake --numprocesses=auto --no-loadscope-reorder $(RUN_PROGRAMS:%=--ignore=%)
 
 # What rounding decides: eigenvalues, null spaces, reduced models and what is compared with them.
 NUMERICAL := tests/fem/modes/test_modal.py tests/fem/modes/test_massless.py tests/fem/pairing/test_structure.py \

@@ -65,6 +65,14 @@ def _fresh_basis_cache(shared_folder):
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _no_waits_for_the_disk():
+    """Leave files to the system's cache: a power failure in a test is told by what is called, not by the disk."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _no_time_for_refits():
     """Leave no mode out after a run: that takes longer than most runs, and the tests of it ask for `refits`."""
     with pytest.MonkeyPatch.context() as patch:

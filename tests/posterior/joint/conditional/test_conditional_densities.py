@@ -95,6 +95,7 @@ def test_coordinates_of_main_parameters_and_their_inverse(campaign_points):
 
 
 @pytest.mark.parametrize("kind", CAMPAIGNS)
+@pytest.mark.usefixtures("half_centred")
 def test_gradients_of_main_parameters_without_scores(kind):
     """The gradient is exact where the bounds are distant."""
     problem, found, _, own = points_of(campaign(**CAMPAIGNS[kind], bounds=(0.05, 20.0)))

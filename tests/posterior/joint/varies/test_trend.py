@@ -59,6 +59,7 @@ UNCERTAIN = {
 @pytest.mark.parametrize("varies", [{}, {"k1": fmu.Population(), "k2": "group"}], ids=["shared", "population"])
 @pytest.mark.parametrize("temperature", UNCERTAIN)
 @pytest.mark.parametrize("law", LAWS)
+@pytest.mark.usefixtures("half_centred")
 def test_gradient(building, law, temperature, varies):
     tests = campaign(building, UNCERTAIN[temperature], wind=WIND)
     tests = [fmu.Test(one.name, one.data, "ab"[t % 2], one.covariates) for t, one in enumerate(tests)]
