@@ -172,7 +172,7 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"{key} must be {n_modes}, one per mode (got {n})")
 
     def _count_modes(self) -> int | None:
-        """Return the number of modes, or None if only a file gives it."""
+        """Return the number of modes, or None if it is known only from a file."""
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
         return len(rows[0]) if rows else None
 

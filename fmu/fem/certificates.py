@@ -65,7 +65,7 @@ class Certificate(ABC):
 
 @dataclass(frozen=True)
 class ReductionCertificate(Certificate):
-    """Errors of a reduced basis at a run's draws: bounds, and exact errors at some of the draws.
+    """Errors of a reduced basis at a run's posterior draws: bounds, and exact errors at some of the draws.
 
     Attributes
     ----------

@@ -54,7 +54,7 @@ class CommandTable(ModelTable):
 
     @property
     def decks(self) -> list[str]:
-        """Name of the template, in a list."""
+        """List with the template's name."""
         return [self.template]
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:

@@ -94,7 +94,7 @@ class ExportsTable(ModelTable):
 
     @property
     def decks(self) -> list[str]:
-        """Name of the template, in a list, or an empty list if there is no template."""
+        """List with the template's name, empty if there is no template."""
         return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:

@@ -77,7 +77,7 @@ def by_bordered_system(
     dM_phi: FloatArray,
     beside: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ∂φ, shape (size, n_parameters), and ∂λ, shape (n_parameters,), for one mode.
+    """Return one mode's shape derivative ∂φ, (size, n_parameters), and eigenvalue derivative ∂λ, (n_parameters,).
 
     Parameters
     ----------

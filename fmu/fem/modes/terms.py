@@ -205,7 +205,10 @@ class ParametricMatrix:
         return value
 
     def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for quadratic forms (n, n_terms, m)."""
+        """Weight the coefficient gradients with quadratic forms (n, n_terms, m): Σ_k forms[:, k] ∂c_k/∂theta.
+
+        The result has shape (n, m, n_parameters).
+        """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         if self._general:
             return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
@@ -221,9 +224,9 @@ class ParametricMatrix:
         return np.einsum("kj,nmj->nkm", self._slopes, d)
 
     def contract_twice(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j, shape (n, m, n_parameters).
+        """Weight the second derivatives with quadratic forms: Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j.
 
-        The quadratic forms have shape (n, n_terms, m, n_parameters).
+        The forms have shape (n, n_terms, m, n_parameters), and the result has shape (n, m, n_parameters).
         """
         total = np.zeros((forms.shape[0], *forms.shape[2:]))
         for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
@@ -231,7 +234,10 @@ class ParametricMatrix:
         return total
 
     def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j, shape (n, m, n_parameters); see `contract`."""
+        """Return the second derivatives along d, Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j; see `contract`.
+
+        Both `d` and the result have shape (n, m, n_parameters).
+        """
         return self.contract_twice(theta, forms[..., None] * d[:, None])
 
 
