@@ -251,7 +251,7 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the fraction of the prior draws near a bound; without prior draws, that of a uniform prior."""
+    """Return the fraction of the prior draws near a bound; without any, the fraction of a uniform prior."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"].variables[name].to_numpy() - bound) < margin))

@@ -1,4 +1,4 @@
-"""Parts that the tuners share: the warm-up schedule, dual averaging of a step size, and moments of the draws.
+"""Code that the tuners share: the warm-up schedule, dual averaging of a step size, and moments of the draws.
 
 Adaptation uses the draws of all chains in a group and stops at the end of warm-up. All retained draws therefore
 come from one fixed, valid kernel.
@@ -51,9 +51,10 @@ class Schedule:
 
     @classmethod
     def doubling(cls, steps: int) -> Schedule:
-        """Return a schedule in which each window is twice as long as the last; a short warm-up has no windows.
+        """Return a schedule in which each window is twice as long as the previous one.
 
-        This schedule suits a sampler that must adapt its step size again in every window.
+        A short warm-up has no windows. This schedule suits a sampler that must adapt its step size again in every
+        window.
         """
         first = last = int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -135,13 +136,13 @@ class DualAveraging:
 
     @property
     def averaged(self) -> FloatArray:
-        """The averaged logarithm x̄, shape () or (chains,), which is used after warm-up."""
+        """The averaged logarithm x̄, which is used after warm-up, shape () or (chains,)."""
         smoothed: FloatArray = self.average if self.count else self.log_value
         return smoothed
 
 
 class Learner:
-    """Learns from warm-up steps the target's covariance, and which chains have reached its bulk.
+    """Learns the target's covariance from warm-up steps, and which chains have reached the bulk of the target.
 
     Attributes
     ----------
@@ -181,7 +182,7 @@ class Learner:
         return self.step < self.schedule.first
 
     def average_arrived(self, value: FloatArray) -> FloatArray:
-        """Return the mean of `value` (chains,) over the chains that have reached the bulk; shape ()."""
+        """Return the mean of `value` (chains,) over the chains that have reached the bulk, shape ()."""
         assert self._log_prob is not None  # learn() comes first
         return np.asarray(np.mean(value[find_arrived(self._log_prob, LAG + self.ndim)]))
 
@@ -249,7 +250,7 @@ def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray 
     The criterion is each chain's (average) log-density, which scatters by only √(ndim/2) within one mode. A chain
     with a far lower value is still approaching the bulk or trapped. One with a far higher value has found a spike,
     or a mode that the other chains have not found yet. In either case its draws are of no use to the other chains.
-    If `acceptance` is given, a chain must also accept about as often as the other chains.
+    If `acceptance` is given, a chain must also accept about as often as the other chains, unless no chain does.
     """
     near = np.abs(log_prob - _level(log_prob)) <= allowance
     if acceptance is None:
@@ -259,5 +260,5 @@ def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray 
 
 
 def _level(log_prob: FloatArray) -> float:
-    """Return the log-density that at least half of the chains reach; for one or two chains, the highest."""
+    """Return the log-density that at least half of the chains reach, which is the highest for up to two chains."""
     return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])

@@ -117,13 +117,16 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Kernel of an ensemble sampler; State.position is (chains, walkers, ndim), with one ensemble per chain."""
+    """Kernel of an ensemble sampler. State.position is (chains, walkers, ndim), with one ensemble per chain."""
 
     target: _Tally
     sampler: EnsembleSampler
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points, one solve per walker; raise ValueError if they do not span the space."""
+        """Evaluate the starting points, at one solve per walker.
+
+        Raise ValueError if the walkers of an ensemble do not span the space.
+        """
         from emcee import walkers_independent
 
         for chain, walkers in enumerate(positions):
@@ -160,7 +163,7 @@ class EnsembleKernel:
 
 
 class _Tally(Target):
-    """Log-density that emcee calls, with counts of its evaluations; each walker has one candidate per step."""
+    """Log-density for emcee that counts its evaluations and the non-finite ones."""
 
     def __init__(self, density: LogDensity) -> None:
         super().__init__(density)

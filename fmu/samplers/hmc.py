@@ -222,25 +222,25 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether `_TRIALS` step sizes have been tried with the last metric; the first few are too long."""
+        """Whether at least `_TRIALS` steps were taken with the last metric; the first step sizes are too long."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 
     @property
     def _has_metric(self) -> bool:
-        """Whether a metric is known, so that trajectory lengths are in standard deviations."""
+        """Whether a metric is known; trajectory lengths are then in standard deviations of the target."""
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
-        """Return the step size, at most `_LONGEST` trajectory lengths, because a flat density accepts any step.
+        """Return exp(`log_step_size`), limited to `_LONGEST` trajectory lengths if a metric is known.
 
-        It has the shape of `log_step_size`.
+        Without the limit, a flat density would accept ever longer steps.
         """
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: FloatArray | float) -> int:
-        """Return `n_steps` if given, otherwise the number of steps that gives the intended trajectory length."""
+        """Return `n_steps` if it is given, otherwise the number of steps for the intended trajectory length."""
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

@@ -29,7 +29,7 @@ Tree = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class State:
-    """State of the chains before a kernel's next step; it holds only arrays, so it can be saved in a file.
+    """State of the chains before a kernel's next step. It contains only arrays, so it can be saved in a file.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class State:
 
 @dataclass(frozen=True)
 class Info:
-    """Diagnostics of one step; the first four attributes mean the same in every sampler.
+    """Diagnostics of one step. The first four attributes mean the same in every sampler.
 
     Attributes
     ----------
@@ -60,13 +60,14 @@ class Info:
     n_solves : ndarray of int
         Density evaluations within the bounds (one eigenproblem each) that the step took.
     n_gradients : ndarray of int
-        Gradients that the step took. An exact gradient is one solve too; a central-difference gradient is
+        Gradients that the step took. An exact gradient also counts as one solve, a central-difference gradient as
         ``2 ndim`` solves.
     extra : mapping of str to ndarray
         Statistics that only some samplers have, such as ``acceptance_rate``, ``energy``, ``diverging`` and
         ``n_steps``; recorded for every draw.
     parts : Info, optional
-        For a kernel that runs other kernels, the diagnostics of their steps, for use by the tuner; not recorded.
+        For a kernel that runs other kernels, the diagnostics of their steps. The tuner uses them; they are not
+        recorded.
     """
 
     accepted: BoolArray
@@ -141,7 +142,7 @@ class Sampler(ABC):
 
     @property
     def takes_gradients(self) -> bool:
-        """Whether each evaluation includes the gradient; by default, whether the sampler uses gradients."""
+        """Whether each evaluation includes the gradient; by default True if the sampler uses gradients."""
         return bool(self.gradient)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
@@ -207,7 +208,7 @@ class Evaluation(NamedTuple):
 
 
 class Target:
-    """Evaluates a density for the kernels in batches, only within the bounds, and counts the cost.
+    """Evaluates a density in batches for the kernels, only at points within the bounds, and counts the solves.
 
     Parameters
     ----------
@@ -231,9 +232,9 @@ class Target:
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
         """Evaluate the density in one batch at all points of `position` (..., ndim) that are within the bounds.
 
-        `chain`, shape (...), is the index of each point's chain; if it is not given, there is one point per chain.
+        `chain`, shape (...), is the index of each point's chain. If it is None, there is one point per chain.
 
-        Points outside the bounds are never evaluated; a point with a NaN coordinate counts as outside. A value
+        Points outside the bounds are never evaluated. A point with a NaN coordinate counts as outside. A value
         that is not finite (a failed eigensolve) becomes ``-inf``, so only that point is rejected.
         """
         inside, all_inside = find_inside(position, self.lower, self.upper)
@@ -247,11 +248,14 @@ class Target:
         return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points, one solve each; return the state without gradients, and its `Info`."""
+        """Evaluate the starting points, at one solve each; return the state without gradients, and its `Info`."""
         first = self.evaluate(positions)
         none = np.zeros(first.log_prob.shape, dtype=np.int64)
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Add any gradient that a step needs; return the state and the cost, or None if nothing was missing."""
+        """Add the gradient if a step needs it and the state lacks it; return the state and the cost.
+
+        The cost is None if nothing was missing.
+        """
         return state, None

@@ -1,4 +1,4 @@
-"""Base classes of the local samplers, whose steps the mixture sampler and tempering can use too.
+"""Base classes of the local samplers, whose steps the mixture sampler and tempering can also use.
 
 A local sampler is one file with settings derived from `LocalSampler`, and a kernel derived from `LocalKernel`.
 """
@@ -40,7 +40,7 @@ class LocalSampler(Sampler):
 
 @dataclass(frozen=True)
 class LocalKernel(ABC):
-    """A local sampler bound to a density; derived kernels are frozen dataclasses too.
+    """A local sampler bound to a density. Derived kernels must be frozen dataclasses too.
 
     Its state is the position, the log-density and, if the target has gradients, the gradient. Its `Info.extra`
     contains ``n_nonfinite``, each chain's number of non-finite evaluations within the bounds.

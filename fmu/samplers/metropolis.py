@@ -136,7 +136,9 @@ class LogNormalWalk:
 
 @dataclass(frozen=True)
 class Independence:
-    """Proposal that draws candidates from a fixed Gaussian, such as a Laplace approximation, at any position.
+    """Independence proposal: draws candidates from a fixed Gaussian, regardless of the current position.
+
+    The Gaussian may be a Laplace approximation, for example.
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ class MetropolisKernel(LocalKernel):
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Propose a candidate for every chain, and accept or reject it.
 
-        A candidate outside the bounds has probability zero: it is rejected without an evaluation.
+        A candidate outside the bounds has zero density and is rejected without an evaluation.
         """
         candidate = self.proposal.sample(rng, state.position)
         new = self.target.evaluate(candidate)
@@ -239,7 +241,7 @@ class MetropolisKernel(LocalKernel):
         return end, Info(accepted, end.log_prob, new.n_solves, np.zeros_like(new.n_solves), extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for the chains of all `kernels`, which must propose Gaussian random walks."""
+        """Return one kernel for the chains of all `kernels`, each of which must propose a Gaussian random walk."""
         ndim, factors = self.target.ndim, list[FloatArray]()
         for kernel in kernels:
             proposal: Any = kernel.proposal
@@ -249,17 +251,17 @@ class MetropolisKernel(LocalKernel):
 
 
 class Search(SliceKernel):
-    """Slice-sampling kernel for the search phase, with the same statistics as the Metropolis-Hastings kernel."""
+    """Slice-sampling kernel for the first part of warm-up, with the Metropolis-Hastings kernel's statistics."""
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw a point from the slice for every chain, without a rejection step."""
+        """Draw a point from the slice for every chain; no candidate is rejected."""
         state, info = super().step(rng, state)
         extra = {"acceptance_rate": info.accepted.astype(float), "n_nonfinite": info.extra["n_nonfinite"]}
         return state, replace(info, extra=extra)
 
 
 class MetropolisTuner:
-    """Tuner of a Gaussian random walk: the draws give its covariance, the acceptance rate its scale.
+    """Tuner of a Gaussian random walk, which learns its covariance from the draws and its scale from acceptance.
 
     A random walk with an unsuitable covariance takes long to reach the bulk of the distribution, and the draws on
     the way there may have a different covariance from the bulk. The first part of warm-up therefore uses slice

@@ -1,4 +1,4 @@
-"""Registry of the samplers by name; adding a sampler takes one file, and one line here."""
+"""Registry of the samplers, keyed by name. Adding a sampler takes one file, and one line here."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BASELINE = "emcee"
 
 
 def sampler_class(name: str) -> type[Sampler]:
-    """Return a sampler's settings class; raise ValueError, listing the known names, if `name` is unknown."""
+    """Return a sampler's settings class. Raise ValueError, listing the known names, if `name` is unknown."""
     if name not in SAMPLERS:
         raise ValueError(f"sampler: must be one of {', '.join(SAMPLERS)} (got {name!r})")
     module, _, kind = SAMPLERS[name].rpartition(".")
@@ -39,7 +39,7 @@ def local_samplers() -> tuple[str, ...]:
 
 
 def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
-    """Return the numbers of warm-up steps and draws of a run; each that is None gets its default.
+    """Return the numbers of warm-up steps and draws of a run, with defaults for those that are None.
 
     If `draws` is None, the defaults depend on the sampler, and convergence is first checked after these draws.
     """
@@ -50,5 +50,5 @@ def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, i
 
 
 def make_sampler(name: str) -> Sampler:
-    """Return a sampler with default settings; raise ValueError, listing the known names, if `name` is unknown."""
+    """Return a sampler with default settings. Raise ValueError, listing the known names, if `name` is unknown."""
     return sampler_class(name)()

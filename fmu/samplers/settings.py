@@ -1,4 +1,4 @@
-"""Checks of sampler settings, and their conversion to plain data."""
+"""Check sampler settings, and convert them to plain data."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 
 def describe(settings: Any) -> dict[str, object]:
-    """Return a dataclass's fields as JSON-able data; nested dataclasses include their class name."""
+    """Return a dataclass's fields as JSON-able data. Nested dataclasses also have their class name."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
     described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described
@@ -134,7 +134,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the usual number of solves that one step of all chains takes, during and after warm-up.
+    """Return the usual number of solves that one step of all chains takes in warm-up, and the number after it.
 
     The numbers are means over the built-in cases.
     """

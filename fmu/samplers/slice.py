@@ -91,7 +91,10 @@ class Slice(LocalSampler):
         return SliceTuner(self, density, steps) if self.width is None else None
 
     def take_covariance(self, covariance: FloatArray) -> Slice:
-        """Return a copy with intervals along the principal axes, or `self` if `width` or `axes` is given."""
+        """Return a copy with intervals along the principal axes of a covariance, shape (ndim, ndim).
+
+        Return `self` if `width` or `axes` is given.
+        """
         if self.width is not None or self.axes is not None:
             return self
         variances, axes = np.linalg.eigh(covariance)
@@ -112,7 +115,7 @@ class SliceKernel(LocalKernel):
     axes: FloatArray
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw a point from the slice for every chain: along all axes at once, or along each axis in turn."""
+        """Draw a point from the slice for every chain, along all axes at once or along each axis in turn."""
         chains, ndim = state.position.shape
         account = {name: np.zeros(chains, dtype=np.int64) for name in ACCOUNT}
         x, log_prob = state.position, state.log_prob
@@ -135,7 +138,7 @@ class SliceKernel(LocalKernel):
         return replace(self, width=np.repeat(width, chains, axis=0), axes=np.repeat(axes, chains, axis=0))
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
-        """Place initial intervals at random around 0; return their left and right ends, (2, chains, axes)."""
+        """Place intervals of given widths at random around 0; return the left and right ends (2, chains, axes)."""
         left = -width * rng.random((chains, width.shape[-1]))
         return np.stack([left, left + width])
 
@@ -269,14 +272,14 @@ class SliceTuner:
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
-    """Return displacements (n, ndim) for offsets (n, axes) along axes that chains share or have separately."""
+    """Return displacements (n, ndim) for offsets (n, axes) along the axes, which chains may share or not."""
     return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
 
 
 def _cut_line(
     target: Target, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the interval ends (chains, 1), cut at the bounds, with one axis per chain (chains, ndim, 1)."""
+    """Return the ends (chains, 1) of intervals along one axis per chain (chains, ndim, 1), cut at the bounds."""
     slope = axes[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):  # a bound that is never reached
         walls = np.stack([target.lower - x, target.upper - x]) / slope

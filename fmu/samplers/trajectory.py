@@ -39,7 +39,9 @@ class Metric:
 
     @classmethod
     def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
-        """Return the metric for an inverse mass matrix: None for the identity, a vector for a diagonal matrix.
+        """Return the metric for an inverse mass matrix.
+
+        `inverse_mass` is None for the identity matrix, or a vector for a diagonal matrix.
 
         Raises
         ------
@@ -107,7 +109,7 @@ class WithGradient(Target):
         return State(positions, slope.log_prob, slope.gradient), info
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Add the gradient if the state lacks it; return the state, and the cost or None if none was missing."""
+        """Add the gradient if the state lacks it; return the state and the cost, or None if none was missing."""
         if state.gradient is not None:
             return state, None
         begun, cost = self.start(state.position)
@@ -313,7 +315,10 @@ class HamiltonianKernel(LocalKernel):
         return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for the chains of all `kernels`, with their median number of steps."""
+        """Return one kernel for the chains of all `kernels`.
+
+        Each chain keeps its metric and step size. The number of steps is the median over the kernels.
+        """
         inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
         return replace(
             self,
@@ -323,7 +328,7 @@ class HamiltonianKernel(LocalKernel):
         )
 
     def _energy(self, end: Trajectory) -> FloatArray:
-        """Return the energy H at the end of each trajectory, shape (chains,); infinite after an overflow."""
+        """Return the energy H at the end of each trajectory, shape (chains,). It is infinite after an overflow."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
 
@@ -381,7 +386,10 @@ class HamiltonianKernel(LocalKernel):
 
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the time to the next bound, infinite if there is none, and the coordinate it limits; both (n,)."""
+    """Return the time at which each point reaches a bound, and the coordinate that this bound limits; both (n,).
+
+    The time is infinite if a point reaches no bound.
+    """
     # coordinates move independently between bounds: t_i = (bound ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0
@@ -391,7 +399,7 @@ def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArra
 
 
 def _rows(x: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return xᵀ A for each row x, where A is one matrix (m, m) for all rows or one per row, (n, m, m)."""
+    """Return xᵀ A for each row x. A is one matrix (m, m) for all rows, or one matrix per row, (n, m, m)."""
     return x @ matrix if matrix.ndim == 2 else np.einsum("ni,nij->nj", x, matrix)
 
 

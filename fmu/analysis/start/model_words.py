@@ -83,7 +83,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def _beside_structure(problem: UpdatingProblem, k: int) -> str:
-    """Return what parameter `k` (an index from 0) changes outside the structure, or an empty string."""
+    """Return the quantity outside the structure that parameter `k` (an index from 0) changes; "" if none."""
     roles = {
         p.name: role
         for term in problem.likelihood.responses

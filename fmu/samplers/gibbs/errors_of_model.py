@@ -1,16 +1,17 @@
-"""Steps of the main parameters and of the sizes of errors, where a model has errors of its own.
+"""Gibbs steps for a model with discrepancy: the main parameters and the sizes of the model errors.
 
-The errors of the model (`fmu.Discrepancy`) are common to all tests. They are drawn at the end of each Gibbs step,
-from their Gaussian distribution given all other parameters, and the tests are independent given the errors
-(`fmu.posterior.discrepancy.given_errors`). But errors and main parameters explain the same residuals: given the
-errors, the main parameters hardly move. Three kinds of steps move them further.
+The model errors (`fmu.Discrepancy`) are common to all tests. They are drawn at the end of each Gibbs step, from
+their Gaussian distribution given all other parameters (`fmu.posterior.discrepancy.given_errors`). Given the
+errors, the tests are independent. But errors and main parameters explain the same residuals, so the main
+parameters hardly move while the errors are fixed. Three kinds of steps move them further:
 
-1. The size of the errors is scaled, while the errors in standard deviations stay the same, and the main parameters
-   move so that they make up for the change. It leads along the funnel of a small scatter.
-2. The main parameters take random walks at fixed scores, in the density without the errors (a partially collapsed
-   Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change that would make up
-   for random errors.
-3. The sizes take random walks in the density without the errors, given the predicted modes.
+1. The standard deviation of the errors is scaled, while the errors in standard deviations stay the same, and the
+   main parameters move to compensate. This step leads along the funnel that a small scatter causes.
+2. The main parameters take random walks at fixed scores, in the density with the errors marginalised (a partially
+   collapsed Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change in the
+   main parameters that would compensate for random errors.
+3. The standard deviations take random walks in the density with the errors marginalised, given the predicted
+modes.
 """
 
 from __future__ import annotations
@@ -39,41 +40,44 @@ _SMALLEST = 0.05
 
 @dataclass(frozen=True)
 class MovesWithErrors(MovesOfMain):
-    """Steps that take the errors of the model into account; all steps of `MovesOfMain` are given these errors.
+    """Gibbs steps that also move the model errors. All steps of `MovesOfMain` are conditional on these errors.
 
     Attributes
     ----------
     collapsed : UpdatingProblem
-        The problem without the errors of the model, which are the last parameters of `problem` if it has any, and
-        with standard normal scores.
+        The problem with the model errors marginalised and standard normal scores. In `problem` the errors are the
+        last parameters, if the model has discrepancy.
     """
 
     collapsed: UpdatingProblem
 
     @property
     def has_errors(self) -> bool:
-        """Whether the model has errors of its own."""
+        """Whether the model has discrepancy, so that model errors are parameters of `problem`."""
         return self.problem.ndim > self.collapsed.ndim
 
     @property
     def given_errors(self) -> LikelihoodGivenErrors:
-        """The likelihood given the errors of the model, if it has any."""
+        """The likelihood conditional on the model errors; only for a model with discrepancy."""
         assert isinstance(self.problem.likelihood, LikelihoodGivenErrors)
         return self.problem.likelihood
 
     @property
     def modal(self) -> ModalLikelihood:
-        """The likelihood without the errors of the model."""
+        """The likelihood with the model errors marginalised."""
         assert isinstance(self.collapsed.likelihood, ModalLikelihood)  # of several tests
         return self.collapsed.likelihood
 
     @property
     def solves_with_errors(self) -> int:
-        """Number of solves in `move_with_errors`."""
+        """Number of solves that `move_with_errors` takes per chain."""
         return 2 + _SHIFTS + len(self.conditionals.noise)
 
     def likeliest_errors(self, theta: FloatArray) -> dict[str, FloatArray]:
-        """Return the most probable errors of the model at theta, (chains, ndim), and the terms given them."""
+        """Return the most probable model errors at theta (chains, ndim), and the log-likelihood terms given them.
+
+        The keys are ``"errors"`` and ``"terms"``.
+        """
         given, at = self.given_errors, self.problem.layout.of_model(theta)
         errors = given.likeliest(at)
         return {"terms": given.terms(np.concatenate([at, errors], axis=1)), "errors": errors}
@@ -81,16 +85,20 @@ class MovesWithErrors(MovesOfMain):
     def move_with_errors(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray], FloatArray]:
-        """Move main parameters and sizes of errors as the errors of the model allow, and draw these errors.
+        """Move the main parameters and the standard deviations of the errors, and draw the model errors.
+
+        The module docstring describes the steps.
 
         Returns
         -------
-        theta, terms : ndarray
-            Without these errors.
+        theta : ndarray
+            Parameters without the model errors.
+        terms : ndarray, shape (chains, n_terms)
+            Log-likelihood terms with the model errors marginalised.
         kept : dict
-            The errors, and the terms given the errors.
+            The drawn model errors, ``"errors"``, and the log-likelihood terms given them, ``"terms"``.
         shifted : ndarray, shape (chains,)
-            The share of accepted steps of the main parameters.
+            Fraction of the main parameters' random-walk steps that were accepted.
         """
         problem, columns = self.collapsed, self.conditionals.marginal.columns
         theta = self._move_sizes(rng, theta, terms)[:, : problem.ndim]
@@ -115,9 +123,9 @@ class MovesWithErrors(MovesOfMain):
         return theta, terms, {"terms": given, "errors": errors}, shifted
 
     def _move_sizes(self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray) -> FloatArray:
-        """Move the standard deviations of the errors, with main parameters that make up for the model's errors.
+        """Move each standard deviation of the errors in turn, and the main parameters to compensate; return theta.
 
-        These errors stay the same in standard deviations. Each step takes a solve.
+        The model errors stay the same in standard deviations. Each standard deviation takes one solve.
         """
         problem, columns, given = self.collapsed, self.conditionals.marginal.columns, self.given_errors
         first, n = problem.n_structural, problem.ndim
@@ -142,10 +150,10 @@ class MovesWithErrors(MovesOfMain):
     def move_noise(
         self, rng: np.random.Generator, theta: FloatArray, at: FloatArray, seen: ModalPrediction, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Move the error standard deviations; return theta, and the log-likelihood terms (chains, n_terms).
+        """Move each error standard deviation in turn, by random walks on its logarithm.
 
-        Each in turn takes a random walk on the logarithmic scale. The predicted modes `seen` do not change; `at`
-        has the parameters of the model.
+        Return theta and the log-likelihood terms (chains, n_terms). The predicted modes `seen` do not change. `at`
+        (chains, n) contains the parameters of the model and of its likelihood.
         """
         problem, likelihood, first = self.collapsed, self.modal, self.collapsed.n_structural
         begin = at.shape[1] - len(self.conditionals.noise)

@@ -94,7 +94,7 @@ class GibbsSampler(Sampler):
             object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
 
     def bind(self, density: LogDensity) -> GibbsKernel:
-        """Return the kernel; raise ValueError if `density` has no populations over tests."""
+        """Return the kernel that samples `density`; raise ValueError if it has no populations over tests."""
         scaled = scaled_density(density)
         problem = scaled.density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
@@ -119,7 +119,7 @@ class GibbsKernel(MovesWithErrors):
     ----------
     scaled : ScaledDensity
     whole : UpdatingProblem
-        The problem that is sampled, without the errors of the model as parameters.
+        The problem that is sampled. Unlike those of `problem`, its parameters do not include the model errors.
     """
 
     scaled: ScaledDensity
@@ -137,7 +137,10 @@ class GibbsKernel(MovesWithErrors):
         return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Move the main parameters together with the scores, then the scores alone, then the populations."""
+        """Move the main parameters together with the scores, then the scores alone, then the populations.
+
+        The module docstring describes all steps.
+        """
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         if self.has_errors:
             theta = np.concatenate([theta, state.extra["errors"]], axis=1)
@@ -166,10 +169,10 @@ class GibbsKernel(MovesWithErrors):
         return State(self.scaled.to_scaled(theta), log_prob, extra=kept), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Draw the outliers among the tests, and their fraction; return theta, and the scores' prior sds.
+        """Draw which tests are outliers, given the scores, and then the fraction of outliers.
 
-        The outliers are drawn given the scores, and then their fraction given the outliers. The standard
-        deviations have shape (chains, n_tests, p), and are `REGULAR` if the problem has no outliers.
+        Return theta and the prior standard deviations of the scores, (chains, n_tests, p). They are `REGULAR` if
+        the problem has no outliers.
         """
         outliers = self.problem.layout.outliers
         if outliers is None:
@@ -182,9 +185,9 @@ class GibbsKernel(MovesWithErrors):
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Move all test scores; return theta, log-likelihood terms, fractions of moved tests, and solve counts.
 
-        The terms have shape (chains, n_terms); fractions and counts have shape (chains,). If values are correlated
-        in time, the parameters of their populations, such as the correlation times, move too. The counts include
-        the solve for the main parameters' step.
+        The terms have shape (chains, n_terms); fractions and counts have shape (chains,). The counts include the
+        solve for the main parameters' step. If values are correlated in time, their populations' parameters move
+        too, including the correlation times.
         """
         in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
         if in_time is None:
@@ -209,7 +212,8 @@ class GibbsKernel(MovesWithErrors):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Move the scores of the tests in `part`; return theta, log-likelihood terms and fractions of moved tests.
 
-        The terms have shape (chains, n_terms), the fractions (chains,).
+        If `part` is None, the scores of all tests move. The terms have shape (chains, n_terms), the fractions
+        (chains,).
         """
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z, normal = of.scores.take(theta), of.normal_of(linear)

@@ -40,7 +40,7 @@ class _Target(ExactGradient):
     ----------
     marginal : MarginalOfMain
     theta : ndarray, shape (chains, ndim)
-        Points that supply the error standard deviations.
+        Points whose error standard deviations are used.
     scales : ndarray, shape (chains, n_tests, p)
         Prior standard deviations of the scores.
 
@@ -86,13 +86,13 @@ class MovesOfMain:
 
     @property
     def _shrink(self) -> float:
-        """Factor on the trajectory length for many tests, because n tests' approximation errors add up as √n."""
+        """Factor that shortens trajectories for many tests, because their approximation errors add up as √n."""
         return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
 
     def move_main(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
-        """Move the main parameters along a trajectory.
+        """Move the main parameters along a trajectory, and accept or reject the end point.
 
         Return theta, the log-likelihood terms (chains, n_terms), the score densities at the new theta, and
         statistics: the acceptance probability in the approximate density, which tunes the step size, and whether

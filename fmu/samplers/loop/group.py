@@ -1,4 +1,4 @@
-"""Groups of chains, which are a run's units of work, and the function that does a chunk of that work.
+"""Groups of chains, into which a run's work is divided, and the function that does a chunk of a group's work.
 
 The chains of a group advance in lockstep with one random generator, and are tuned together. Groups are independent
 of each other. Between two chunks of work a group is plain data, so the result does not depend on which worker does
@@ -141,7 +141,8 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     Raises
     ------
     ValueError
-        If the log-density is not finite at a chain's starting point.
+        If the log-density, or a gradient that the sampler needs, is not finite at a chain's starting point, or if
+        the walkers of an emcee ensemble do not span the space.
     """
     group = _GroupRunner(context, chunk.group)
     began = time.perf_counter()
@@ -162,9 +163,9 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
 
 
 def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
-    """Return the log-densities at a group's positions, as stored and as recomputed, each (chains,).
+    """Return the log-densities at a group's positions, both as stored and as recomputed.
 
-    For an ensemble their shape is (chains, walkers).
+    Both have shape (chains,), or (chains, walkers) for an ensemble.
     """
     held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
@@ -207,7 +208,7 @@ class _GroupRunner:
         return len(self.state.position)
 
     def step(self, phase: str) -> Info:
-        """Take one step, and learn from it in warm-up; return the step's diagnostics.
+        """Take one step and, in warm-up, let the tuner learn from it; return the step's diagnostics.
 
         The cost of evaluating the starting points is added to the first step.
         """
@@ -226,7 +227,7 @@ class _GroupRunner:
         return info
 
     def as_steps(self, info: Info) -> Steps:
-        """Return the step just taken, with diagnostics `info`, as `Steps` of length 1."""
+        """Return the step just taken as `Steps` of length 1, with the statistics in `info`."""
         named = {
             "lp": info.log_prob,
             "accepted": info.accepted,

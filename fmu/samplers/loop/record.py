@@ -1,4 +1,4 @@
-"""Records of a run: the arrays into which steps are written, and the result that a run returns."""
+"""Record the steps of a run in arrays, and collect them in the result that the run returns."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Steps:
 
 
 class Record:
-    """Arrays that store the steps of all chains; statistics arrays are created when the first steps are written.
+    """Arrays that store the steps of all chains. Statistics get their arrays when the first steps are written.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class Record:
         self._stats: dict[str, AnyArray] = {}
 
     def reserve(self, steps: int) -> None:
-        """Make room for `steps` steps in total; arrays returned earlier do not change."""
+        """Make room for `steps` steps in total. Arrays that were returned earlier do not change."""
         if steps > self._capacity:
             self._capacity = steps
             self._position = self._longer(self._position)
@@ -124,7 +124,10 @@ class Record:
         return Steps(self._position[chains, rows], {name: x[chains, rows] for name, x in self._stats.items()})
 
     def draws(self, stop: int) -> Draws:
-        """Return the draws of all steps before `stop`, in step-major order: all walkers of each step in turn."""
+        """Return the draws of all steps before step `stop`, in step-major order.
+
+        All walkers of step 0 come first, then all walkers of step 1, and so on.
+        """
         steps = self.steps(0, stop)
         length = stop * self._walkers
         stats = {name: x.reshape(self._chains, length, *x.shape[3:]) for name, x in steps.stats.items()}

@@ -1,4 +1,4 @@
-"""Sampling runs: groups of chains and their seeds, warm-up and draws, progress reports, and checkpoints."""
+"""Run a sampler: groups of chains and their seeds, warm-up and draws, progress reports, and checkpoints."""
 
 from __future__ import annotations
 
@@ -162,7 +162,10 @@ class Run:
         return int(np.sum(self._records[WARMUP].draws(self.warmup).stats.get("n_solves", 0)))
 
     def report_end(self) -> None:
-        """Send a last progress report, with the diagnostics on which the verdict is based."""
+        """Send a last progress report for each group, with the diagnostics on which the verdict is based.
+
+        Nothing is sent if there are too few draws for diagnostics.
+        """
         if self._watch is not None:
             self._watch.end(self._common(DRAWS))
 
@@ -244,7 +247,7 @@ class Run:
         return Chunk(group.state, phase, steps, seconds, target, label)
 
     def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
-        """Record the steps of a group, and count their solves and failures."""
+        """Record the steps of a group, and count the solves and failures in them."""
         self._records[phase].write(first, group.chains.start, steps)
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
@@ -262,7 +265,7 @@ class Run:
         group.pending[phase], group.failures = stop, []
 
     def _common(self, phase: str) -> FloatArray:
-        """Return the positions of the steps that all groups have taken, shape (chains, steps, walkers, ndim)."""
+        """Return the positions at the steps that all groups have completed, (chains, steps, walkers, ndim)."""
         return self._records[phase].steps(0, min(group.state.done[phase] for group in self._groups)).position
 
     def _so_far(self) -> RunResult | None:
@@ -271,7 +274,7 @@ class Run:
         return self._result(drawn) if drawn else None
 
     def _result(self, draws: int) -> RunResult:
-        """Return the result with the draws of the first `draws` steps."""
+        """Return the result of the run, restricted to the first `draws` steps after warm-up."""
         kept = self._records[DRAWS].draws(draws)
         warm = self._records[WARMUP].draws(self.warmup)
         if self.warmup == 0:  # no step has named the statistics
@@ -305,7 +308,7 @@ def run(
     init: str | ArrayLike,
     progress: Report | None = None,
 ) -> RunResult:
-    """Warm up, take `draws` steps and return the result. `Run` and `Run.extend` describe the arguments."""
+    """Warm up, take `draws` steps and return the result; see `Run` and `Run.extend` for the arguments."""
     draws = whole_number("draws", draws, 1)
     begun = Run(density, sampler, warmup=warmup, chains=chains, seed=seed, init=init, progress=progress)
     return begun.extend(draws)
@@ -344,14 +347,17 @@ def _check_same(context: RunContext, group: GroupState) -> None:
 
 
 def _merge_learnt(learnt: list[dict[str, object]]) -> dict[str, object]:
-    """Return the learnt settings as one dict; with several groups, each value is a list over the groups."""
+    """Return the learnt settings of all groups as one dict.
+
+    With several groups, each value is a list with one entry per group.
+    """
     if len(learnt) == 1:
         return learnt[0]
     return {name: [settings[name] for settings in learnt] for name in learnt[0]}
 
 
 class _Watch:
-    """Forwards progress reports, and adds diagnostics of the draws that all groups have completed."""
+    """Forwards progress reports, with diagnostics of the draws that all groups have completed."""
 
     def __init__(self, progress: Report, live: Callable[..., Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live
@@ -365,7 +371,10 @@ class _Watch:
         self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
 
     def end(self, draws: FloatArray) -> None:
-        """Repeat the last report of each group, with the diagnostics on which the verdict is based."""
+        """Repeat the last report of each group, with the diagnostics on which the verdict is based.
+
+        Nothing is reported if there are too few draws for diagnostics.
+        """
         if self._live is None or draws.shape[1] < _ENOUGH:
             return
         self._words = dict(self._live(draws, ended=True))
@@ -373,7 +382,7 @@ class _Watch:
             self._progress(DRAWS, done, total, {**info, **self._words})
 
     def look(self, draws: FloatArray) -> None:
-        """Update the diagnostics of the draws so far; this may take about a fiftieth of the run time."""
+        """Update the diagnostics of the draws so far, but spend at most a fiftieth of the run time on them."""
         began = time.monotonic()
         if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
             return

@@ -1,4 +1,4 @@
-"""Saving of runs: a group's saved data, the checkpointer, and exceptions that end a run early."""
+"""Save runs: the data saved for a group of chains, the checkpointer, and exceptions that end a run early."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class PendingGroup(NamedTuple):
 
 
 class Checkpointer(Protocol):
-    """Saves the groups' draws and states, from which an aborted run can be resumed.
+    """Saves the groups' draws and states, from which an interrupted run can be resumed.
 
     Attributes
     ----------
@@ -106,5 +106,5 @@ class Checkpointer(Protocol):
         ...
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Save the data of a group that have accumulated since it was last saved."""
+        """Save the data that a group has accumulated since it was last saved."""
         ...

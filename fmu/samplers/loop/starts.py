@@ -68,7 +68,7 @@ def starting_points(
 
 
 def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
-    """Raise ValueError if a starting point is not finite or is outside the bounds, and name the first."""
+    """Raise ValueError, naming the first case, if a starting point is not finite or is outside the bounds."""
     inside = (theta >= scaled.theta_lower) & (theta <= scaled.theta_upper) & np.isfinite(theta)
     if not inside.all():
         *where, i = (int(k) for k in np.argwhere(~inside)[0])
@@ -79,7 +79,10 @@ def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
 
 
 def check_finite(scaled: ScaledDensity, position: FloatArray, log_prob: FloatArray, first_chain: int) -> None:
-    """Raise ValueError if the log-density is not finite at a starting point, and name the first."""
+    """Raise ValueError, naming the first case, if the log-density is not finite at a starting point.
+
+    `position` contains the scaled starting points of the chains from `first_chain` onwards.
+    """
     bad = np.argwhere(~np.isfinite(log_prob))
     if len(bad):
         chain, *rest = (int(k) for k in bad[0])
@@ -95,7 +98,7 @@ def _label(where: list[int]) -> str:
 
 
 def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
-    """Return walkers spread around their starting points `u` and reflected at the bounds; same shape as `u`."""
+    """Return walkers scattered around their starting points `u` and reflected at the bounds, same shape as `u`."""
     spread = u + BALL * rng.standard_normal(u.shape)
     spread = np.where(spread < scaled.lower, 2 * scaled.lower - spread, spread)
     return np.where(spread > scaled.upper, 2 * scaled.upper - spread, spread)

@@ -65,7 +65,7 @@ class BentGaussians:
     def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
         """Return the weighted log-densities of the Gaussians at points x, shape (n_factors, k, n).
 
-        Each factor in `wider` scales the width of all Gaussians.
+        The widths of all Gaussians are multiplied by each of the factors in `wider` in turn.
         """
         ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
         for k, weight in enumerate(self.weights):
@@ -76,14 +76,17 @@ class BentGaussians:
         return found
 
     def responsibilities(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each Gaussian's probability of producing each point, (k, n), and the log-densities, (n,)."""
+        """Return each Gaussian's probability of having produced each point, (k, n).
+
+        The second result is the mixture's log-density at the points, (n,).
+        """
         each = self.log_densities(x, np.ones(1))[0]
         total = np.asarray(logsumexp(each, axis=0))
         return np.exp(each - total), total
 
     @property
     def n_coefficients(self) -> int:
-        """Number of free parameters in the mixture, on which the fit's penalty depends."""
+        """Number of free parameters in the mixture, which determines the penalty in a fit."""
         ndim = self.means.shape[1]
         return int(np.count_nonzero(self.bends)) + len(self.weights) * (ndim + 1) * (ndim + 2) // 2
 
@@ -137,10 +140,11 @@ def _run_sweeps(
 
 
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
-    """Fit Gaussians to points with responsibilities r (k, n); return None if every Gaussian has too few points.
+    """Fit Gaussians to points with responsibilities r (k, n); return None if all of them have too few points.
 
-    Each Gaussian is widened to allow for its own uncertainty. Measured with the mean and covariance of n points, a
-    new point's expected squared distance is larger than a fitted point's by the factor 1 + (ndim + 2)/n.
+    A Gaussian with too few points is dropped. Each Gaussian is widened to allow for its own uncertainty: with the
+    mean and covariance of n points, a new point's expected squared distance is larger than a fitted point's by the
+    factor 1 + (ndim + 2)/n.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

@@ -78,7 +78,7 @@ class Curve:
         return (z - phi @ self.location.T) * np.exp(-s), log_slope - np.sum(np.log(self.spread) + s, axis=1)
 
     def to_u(self, x: FloatArray) -> FloatArray:
-        """Return the points u whose coordinates are x; both have shape (n, ndim).
+        """Return the points u with coordinates x; both have shape (n, ndim).
 
         Components of u without a beta margin may lie outside their bounds.
         """
@@ -117,7 +117,7 @@ def features(z: FloatArray) -> FloatArray:
 
 
 def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
-    """Return a mask of the `features` that involve no coordinates other than those marked in `used`.
+    """Return a mask of the `features` that involve only coordinates marked in `used`.
 
     Parameters
     ----------
@@ -230,8 +230,8 @@ def fit_infinite_margins(
 ) -> tuple[FloatArray, FloatArray]:
     """Return beta shape parameters a and b, each (ndim,), of the coordinates whose density is infinite at a bound.
 
-    Both are NaN for all other coordinates. A shape parameter is at least 1 at a bound where the density is finite
-    (uniform and exponential margins have 1).
+    Both are NaN for all other coordinates. A shape parameter below 1 means that the density is infinite at the
+    bound; otherwise it is at least 1 (uniform and exponential margins have 1).
     """
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):
@@ -260,7 +260,7 @@ def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
 
 
 def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Fit a beta distribution to points t by maximum likelihood; return its shape parameters, NaN if extreme."""
+    """Fit a beta distribution to points t by maximum likelihood; return a and b, or NaN if they are extreme."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     mean = float(weight @ t)
     common = mean * (1.0 - mean) / max(float(weight @ (t - mean) ** 2), _TINY) - 1.0

@@ -62,7 +62,7 @@ class CurvedMixture:
 
     @property
     def _copies(self) -> tuple[FloatArray, FloatArray]:
-        """Widening factors of a Gaussian and its copy, and the weight fraction of each; both have shape (2,)."""
+        """Width factors of a Gaussian and its wider copy, and their weight fractions; both have shape (2,)."""
         return np.array([1.0, np.exp(0.5 * min(5.0 / len(self.mean), 2.5))]), np.array([1.0 - _WIDE, _WIDE])
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -96,17 +96,17 @@ class CurvedMixture:
         return np.asarray(np.logaddexp(np.log1p(-_SAFE) + bent, np.log(_SAFE) + safe))
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the covariance, shape (ndim, ndim), of `n` draws clipped to the bounds."""
+        """Return the covariance of `n` draws that are clipped to the bounds, shape (ndim, ndim)."""
         u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
         ndim = len(self.mean)
         return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
 
     def settings(self) -> Tree:
-        """Return the `MixtureSampler` settings, by name, that make it use this mixture."""
+        """Return the `MixtureSampler` settings that specify this mixture, keyed by name."""
         return {"components": self}
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the mixture, by name."""
+        """Return the arrays that define the mixture, keyed by name."""
         fields = {**vars(self.curve), **vars(self.parts), "mean": self.mean, "factor": self.factor}
         return {name: value.astype(float) for name, value in fields.items()}
 

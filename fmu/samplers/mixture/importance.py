@@ -1,4 +1,4 @@
-"""Importance sampling from several proposals combined into one mixture, with weights P/q."""
+"""Importance sampling with several proposals combined into one mixture q, and weights P/q."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ def cut_largest(log_w: FloatArray) -> FloatArray:
 
 
 def even_out(log_w: FloatArray, least: float, power: float) -> FloatArray:
-    """Multiply log-weights (n,) by `power` repeatedly until their effective sample size reaches `least`."""
+    """Flatten log-weights (n,) by multiplying them by `power` until their ESS is at least `least`.
+
+    `power` is below 1; the multiplication is repeated as often as needed, or not at all.
+    """
     while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
         log_w = power * log_w
     return log_w

@@ -151,5 +151,5 @@ class MixtureKernel:
 
 
 def _nothing(value: AnyArray) -> AnyArray:
-    """Return a jump's placeholder for a local-step statistic: NaN, 0 or False, depending on its type."""
+    """Return a placeholder for a local-step statistic in a jump: NaN, 0 or False, depending on its type."""
     return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

@@ -129,7 +129,7 @@ class MixtureSampler(Sampler):
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return a copy that starts from these components and weights, or `self` if it has its own components."""
+        """Return a copy that starts from these components and weights, or `self` if `components` was given."""
         if self.components is not None:
             return self
         return replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))
@@ -142,7 +142,7 @@ class MixtureSampler(Sampler):
         return MixtureKernel(Target(density), mixture, local, self.local_steps, jumps)
 
     def jumps_with(self, wide: float) -> int:
-        """Return the number of candidates per cycle if the wider copies take the fraction `wide` of the weight."""
+        """Return the number of candidates per cycle if the wider copies have the fraction `wide` of the weight."""
         if self.jumps is not None:
             return self.jumps
         return _JUMPS if wide >= WIDE else _JUMPS_IF_GOOD

@@ -1,4 +1,4 @@
-"""A move for any emcee ``EnsembleSampler``, with proposals from a Gaussian mixture."""
+"""A move for any emcee ``EnsembleSampler`` that proposes candidates from a Gaussian mixture."""
 
 from __future__ import annotations
 

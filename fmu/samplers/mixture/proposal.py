@@ -86,9 +86,9 @@ class Mixture:
         return cls(quadratics, arrays["weights"], warp, float(arrays["wide"]))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the mixture, by name, with one row per component.
+        """Return the arrays that define the mixture, keyed by name, with one row per component.
 
-        A component without a covariance has NaN.
+        A component without a fitted covariance has NaN.
         """
         found = {name: np.array([vars(q)[name] for q in self.quadratics]) for name in _FIELDS}
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
@@ -97,13 +97,13 @@ class Mixture:
         return found | {"weights": self._given, "bent": self.warp.bent.astype(float), "wide": np.array(self.wide)}
 
     def settings(self) -> Tree:
-        """Return the `MixtureSampler` settings, by name, that make it use this mixture."""
+        """Return the `MixtureSampler` settings that specify this mixture, keyed by name."""
         weights, bent = tuple(self.weights.tolist()), tuple(self.warp.bent.tolist())
         return {"components": self.quadratics, "weights": weights, "bent": bent, "wide": self.wide}
 
     @property
     def gaussians(self) -> Mixture:
-        """The mixture itself, because further fits can refine it (a `CurvedMixture` has None here)."""
+        """The mixture itself, because further fits can refine it. (For a `CurvedMixture` it is None.)"""
         return self
 
     def with_wide(self, wide: float) -> Mixture:
@@ -185,7 +185,10 @@ class Points:
         return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
 
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return the warped coordinates x (n, ndim), the log-densities in x, and the gradients in x or None."""
+        """Return the warped coordinates x (n, ndim), the log-densities in x, and the gradients in x.
+
+        The gradients are None if the points have none.
+        """
         log_prob = self.log_prob + warp.log_stretch(self.position)
         slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
         return warp.to_x(self.position), log_prob, slope
@@ -240,7 +243,7 @@ def _effective_size(weight: FloatArray) -> FloatArray:
 
 
 def refit_mixture(points: Points, start: Mixture) -> Mixture:
-    """Fit a mixture to a log-density; return `start` if cross-validation on few points shows no gain.
+    """Fit a mixture to a log-density, or return `start` if cross-validation on few points shows no gain.
 
     A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
     few, a fit to either half must therefore suit the other half better than `start` does.
@@ -253,7 +256,7 @@ def refit_mixture(points: Points, start: Mixture) -> Mixture:
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
-    """Return the gain over `start` in ESS per draw when a fit to half of the points is tested on the others."""
+    """Return the gain in ESS per draw over `start` when a fit to half of the points is tested on the rest."""
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):
@@ -263,7 +266,11 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 
 
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
-    """Return a warp that transforms a coordinate if this makes the log-density more nearly quadratic."""
+    """Return the warp with which the log-density is most nearly quadratic.
+
+    Each coordinate with a lower bound is tried with and without the logarithm. The warp is unchanged if there are
+    too few points.
+    """
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
@@ -282,7 +289,7 @@ def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp
 def _measure_misfit(
     x: FloatArray, value: FloatArray, slope: FloatArray | None, weights: Iterable[FloatArray]
 ) -> float:
-    """Return the weighted sum of squared residuals when one quadratic is fitted for each set of weights."""
+    """Return the weighted sum of squared residuals after fitting one quadratic per set of weights."""
     total = 0.0
     for w in weights:
         if w.sum() > 0:
@@ -302,7 +309,7 @@ def _settle_components(
     """Run a few EM sweeps from responsibilities (components, n); return the best mixture and its ESS per draw.
 
     A component with too few points keeps its quadratic from `before`, or is dropped if its weight is negligible.
-    With `by_moments`, components take the mean and covariance of their points instead of a fitted quadratic.
+    If `by_moments` is True, components take the mean and covariance of their points instead of a fitted quadratic.
     """
     found: tuple[Mixture, float] | None = None
     x, value, slope = points.under(warp)
@@ -334,9 +341,10 @@ def _settle_components(
 
 
 def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
-    """Divide the points into 2, 4 and 8 groups by halving groups across their longest axes.
+    """Divide the points into 2, 4 and 8 groups by repeatedly halving each group across its longest axis.
 
-    Return one array of 0/1 responsibilities, shape (groups, n), per division; it stops early if points are few.
+    Return one array of 0/1 responsibilities, shape (groups, n), for each division. The list is shorter if there
+    are too few points.
     """
     x, found = warp.to_x(points.position), list[FloatArray]()
     groups = [np.ones(len(points.weight), dtype=bool)]

@@ -47,7 +47,7 @@ class Quadratic:
     covariance: FloatArray | None = None
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return m at points u (n, ndim), shape (n,)."""
+        """Return the value of m at points u (n, ndim), shape (n,)."""
         d = u - self.position
         return self.log_prob + d @ self.gradient - 0.5 * np.einsum("ni,ij,nj->n", d, self.hessian, d)
 
@@ -80,7 +80,7 @@ class Quadratic:
 
 
 def definite(hessian: FloatArray) -> FloatArray:
-    """Clip the eigenvalues of a symmetric matrix so that it and its inverse are positive definite."""
+    """Return a symmetric matrix with its eigenvalues clipped, so that it and its inverse are positive definite."""
     values, vectors = np.linalg.eigh(hessian)
     values = np.minimum(values, STEEPEST)
     values = np.maximum(values, max(FLATTEST, values[-1] / _CONDITION))
@@ -92,7 +92,7 @@ def _temperature(ndim: int) -> float:
 
 
 def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
-    """Return Mardia's (1970) kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian's."""
+    """Return Mardia's (1970) kurtosis of weighted points x (n, ndim), divided by the value for a Gaussian."""
     n, z = x.shape[1], standardise(x, weight)[0]
     return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
 
@@ -168,7 +168,10 @@ def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
 
 
 def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return z (n, ndim), mean and L (ndim, ndim), where u = mean + Lz and weighted z has unit covariance."""
+    """Return z (n, ndim), the mean (ndim,) and L (ndim, ndim) such that u = mean + Lz.
+
+    The weighted points z have zero mean and unit covariance.
+    """
     w = weight / weight.sum()
     mean = w @ u
     covariance = (w * (u - mean).T) @ (u - mean)

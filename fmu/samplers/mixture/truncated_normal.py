@@ -85,7 +85,7 @@ class SequentialNormal:
         return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
 
     def _minimax(self, start: FloatArray) -> FloatArray:
-        """Return the minimax tilting μ, shape (ndim,), which is a saddle point; zeros if the search fails."""
+        """Return the minimax tilting μ, shape (ndim,), found as a saddle point, or zeros if the search fails."""
         from scipy.optimize import root
 
         n = len(start)
@@ -109,7 +109,7 @@ class SequentialNormal:
 def _order_coordinates(
     mean: FloatArray, covariance: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
-    """Return the coordinate order, and the expected z of each coordinate given the previous ones, both (ndim,)."""
+    """Return the order of the coordinates, and each one's expected z given the previous ones, both (ndim,)."""
     left, order, z = list(range(len(mean))), [], np.zeros(len(mean))
     # m and C are conditional on the coordinates taken so far, at expected values: a pivoted Cholesky factorisation
     m, C = mean.copy(), covariance.copy()
@@ -143,7 +143,10 @@ def _mean_of_cut_normal(a: float, b: float) -> float:
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return log(Φ(b) − Φ(a)), a standard normal's log mass in [a, b], elementwise and without cancellation."""
+    """Return log(Φ(b) − Φ(a)), the log of a standard normal's mass in [a, b], elementwise.
+
+    The result is accurate even in the tails, where the difference would cancel.
+    """
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
     # the limits may be so close together, or so far out, that there is no mass between them

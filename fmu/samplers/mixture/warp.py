@@ -65,7 +65,7 @@ class Warp:
         )
 
     def straighten(self, of_x: Quadratic) -> Quadratic:
-        """Convert the second-order expansion of a log-density in x to u; the inverse of `quadratic`."""
+        """Convert the second-order expansion of a log-density in x to one in u; the inverse of `quadratic`."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
         slope = of_x.gradient - self.bent

@@ -1,4 +1,4 @@
-"""The tempered density prior · likelihood^t of many replicas, each with its own inverse temperature t."""
+"""The tempered densities prior · likelihood^t of many replicas, each with its own inverse temperature t."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ class Points(NamedTuple):
     likelihood_gradient: FloatArray | None = None
 
     def each(self, change: Callable[..., FloatArray], *others: Points) -> Points:
-        """Apply `change` to each array and the corresponding arrays of `others`; return the resulting points."""
+        """Return points whose arrays are the results of `change`.
+
+        `change` is called with each array of these points and the corresponding arrays of `others`.
+        """
         changed: Any = (None if a is None else change(a, *b) for a, *b in zip(self, *others, strict=True))
         return Points(*changed)
 
@@ -43,7 +46,10 @@ class Points(NamedTuple):
                 array[where] = values
 
     def log_prob(self, t: FloatArray) -> FloatArray:
-        """Return log-prior + t · log-likelihood, shape (...); at t = 0, the log-prior whatever the likelihood."""
+        """Return log-prior + t · log-likelihood, shape (...).
+
+        At t = 0 this is the log-prior, even where the log-likelihood is −inf.
+        """
         return self.log_prior + np.where(t > 0.0, t, 1.0) * np.where(t > 0.0, self.log_likelihood, 0.0)
 
     def gradient(self, t: FloatArray) -> FloatArray | None:
@@ -131,7 +137,7 @@ class TemperedTarget(ExactGradient):
         """Return the replicas at their positions after the step, and the solves per replica, shape (replicas,).
 
         Usually this takes no solves, because a replica ends where it started or at the point that was evaluated
-        last. The exception is the coordinate-wise slice: if an interval is given up, the replica stays at the
+        last. The exception is coordinate-wise slice sampling: if an interval is given up, the replica stays at the
         position reached along the previous axis.
         """
         n_solves = np.zeros(len(position), dtype=np.int64)
@@ -151,5 +157,5 @@ class TemperedTarget(ExactGradient):
 
 
 def _replace_failures(log_likelihood: FloatArray) -> FloatArray:
-    """Replace log-likelihoods that are not finite, because the model failed, by −inf."""
+    """Replace log-likelihoods that are not finite by −inf; they are not finite where the model failed."""
     return np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf)

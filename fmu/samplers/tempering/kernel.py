@@ -125,7 +125,10 @@ def _take_in_order(values: AnyArray, order: IntArray) -> AnyArray:
 
 
 def _update_headings(heading: IntArray) -> tuple[IntArray, IntArray]:
-    """Update the headings at the ends of the ladder; return them and the completed round trips, (chains,)."""
+    """Update the headings of the replicas at both ends of the ladder.
+
+    Return the headings, (rungs, chains), and the numbers of completed round trips, (chains,).
+    """
     heading = heading.copy()
     heading[0] = np.where(heading[0] == 1, 2, heading[0])
     round_trips = (heading[-1] == 2).astype(np.int64)

@@ -198,7 +198,7 @@ class LadderTuner:
         self.kernel: TemperingKernel = replace(self.bound, temperatures=self.temperatures, kernels=tuple(kernels))
 
     def _tell_the_tuners(self, state: State, info: Info) -> None:
-        """Update the tuner of each rung with the replicas there and their tempered log-densities."""
+        """Update each rung's tuner with the replicas at the rung and their tempered log-densities."""
         parts, t = info.parts, self.temperatures[1:, None]
         assert parts is not None  # TemperingKernel returns them
         above = replicas_of(state).each(lambda a: a[1:])
@@ -216,7 +216,7 @@ class LadderTuner:
 
 
 def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Sort inverse temperatures in ascending order; raise ValueError unless they run from 0 to 1 and differ."""
+    """Return inverse temperatures in ascending order; raise ValueError unless they differ and run from 0 to 1."""
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
         raise ValueError(f"{name}: must be distinct inverse temperatures from 0 to 1, with both (got {value!r})")
@@ -229,7 +229,7 @@ def first_ladder(rungs: int | None) -> FloatArray:
 
 
 def stages(steps: int) -> list[int]:
-    """Return the lengths, in steps, of the warm-up stages between which the ladder changes.
+    """Return the lengths of the warm-up stages in steps. The ladder changes from stage to stage.
 
     Each stage but the first is about as long as all previous stages together.
     """

@@ -1,4 +1,4 @@
-"""Points evaluated in warm-up, and the mixture fitted to the draws of local steps."""
+"""Collect the points evaluated in warm-up, and fit a mixture to the draws of local steps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEAST_MOVE = 1e-8  # smallest extent of draws that have moved, in scaled units
 
 
 class Evaluated(NamedTuple):
-    """Points (n, ndim) with their log-densities (n,) and gradients (n, ndim); missing gradients are NaN."""
+    """Points (n, ndim) with their log-densities (n,) and gradients (n, ndim); unknown gradients are NaN."""
 
     position: FloatArray
     log_prob: FloatArray
@@ -32,7 +32,7 @@ class Evaluated(NamedTuple):
         return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
 
     def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
-        """Return these points followed by the given ones; gradients that are not given become NaN."""
+        """Return these points followed by the given ones. Their gradients are NaN if `slope` is None."""
         more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
@@ -86,6 +86,6 @@ def _has_moved(u: FloatArray) -> bool:
 
 
 def first_warp(density: LogDensity) -> Warp:
-    """Return the initial warp, which applies to coordinates with a lower bound but no upper bound."""
+    """Return the initial warp, logarithmic in coordinates that have a lower bound but no upper bound."""
     bent = np.isfinite(density.lower) & ~np.isfinite(density.upper)
     return Warp(density.lower, density.upper, bent)

@@ -1,4 +1,4 @@
-"""Adaptive importance sampling of a curved density: each round's mixture is fitted to all earlier candidates."""
+"""Adaptive importance sampling of a curved density, in rounds that each use a mixture fitted to earlier rounds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ _FEWEST = 200
 
 
 class Rounds:
-    """Candidates from several rounds, weighted with the mixtures of all rounds (Cornuet et al. 2012).
+    """Candidates from several rounds, importance-weighted by the combined density of all rounds' mixtures.
+
+    This is adaptive multiple importance sampling (AMIS, Cornuet et al. 2012).
 
     Attributes
     ----------

@@ -50,15 +50,17 @@ heavy tails badly."""
 
 
 class MixtureTuner:
-    """Tuner that repeatedly fits the mixture to all candidates so far, weighted with all mixtures so far.
+    """Tuner that repeatedly refits the mixture to all candidates drawn so far.
 
-    If no components are given, up to half of the warm-up consists of local steps, and the first mixture is fitted
-    to their draws. If a chain or a candidate has found a maximum that the mixture misses, a component is added
-    there. After the first fit, local steps use a metric derived from the mixture's covariance.
+    The candidates are importance-weighted by the combined density of all mixtures that proposed them (AMIS,
+    Cornuet et al. 2012). If no components are given, up to half of the warm-up consists of local steps, and the
+    first mixture is fitted to their draws. If a chain or a candidate has found a maximum that the mixture misses,
+    a component is added there. After the first fit, local steps use a metric derived from the mixture's
+    covariance.
 
     If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps then
-    adapt a metric to their own draws, which later fits also use. Candidates take over again once they are often
-    accepted.
+    adapt a metric to their own draws. Later fits also use these draws. Candidates take over again once they are
+    often accepted.
 
     If most chains rarely accept candidates, a `CurvedMixture` is fitted in rounds, once there are enough local
     draws. It replaces the mixture if it is efficient enough. It is also tried if the density is infinite at a
@@ -111,7 +113,10 @@ class MixtureTuner:
         return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Use one more warm-up step; return the evaluations that this cost, shape (chains,), or None if none."""
+        """Learn from one more warm-up step.
+
+        Return the number of evaluations that the learning took, shape (chains,), or None if it took none.
+        """
         self.done += 1
         if info.parts is not None:
             if self.local is not None:
@@ -206,11 +211,11 @@ class MixtureTuner:
         self._begin_with(fit_to_draws(self.visited, self.chains, self.density))
 
     def _fit(self, state: State) -> IntArray | None:
-        """Fit the mixture to all candidates so far, weighted with all mixtures so far (Cornuet et al. 2012).
+        """Fit the mixture to all candidates so far, importance-weighted by the combined density of all mixtures.
 
         Missed maxima are searched for before the fit, because candidates near them would spoil it, and again after
-        it, because a fit may lose a maximum. Return the evaluations that this cost, shape (chains,), or None if
-        there was nothing to fit.
+        it, because a fit may lose a maximum. Return the number of evaluations that this took, shape (chains,), or
+        None if there was nothing to fit. See Cornuet et al. 2012.
         """
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
@@ -241,7 +246,7 @@ class MixtureTuner:
         return spent
 
     def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
-        """Return the mixture with the larger effective sample size per draw on the draws of local steps."""
+        """Return the mixture with the larger effective sample size per draw, judged by the local steps' draws."""
         u, log_prob, _ = self.walked
         points = Points(u, log_prob, np.ones(len(u)))
         shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
@@ -256,8 +261,8 @@ class MixtureTuner:
         """Make most steps local if some chain rarely accepts candidates, until all chains often accept them.
 
         Fit a curved mixture if most chains rarely accept candidates, or if the density is infinite at a bound or
-        has heavy tails, provided that there are enough local draws. Return the evaluations that this cost, shape
-        (chains,), or None if there were none.
+        has heavy tails, provided that there are enough local draws. Return the number of evaluations that this
+        took, shape (chains,), or None if it took none.
         """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
             return None
@@ -284,7 +289,10 @@ class MixtureTuner:
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return all weighted candidates so far, or None if there are none or the mixture is curved."""
+        """Return all candidates so far with their importance weights.
+
+        Return None if there are none with a finite log-density, or the mixture is curved.
+        """
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or not known.any():
@@ -313,10 +321,10 @@ class MixtureTuner:
         return not share >= _FITS_BADLY and measure_kurtosis(points.under(mixture.warp)[0], points.weight) > _HEAVY
 
     def _learn_curved(self, state: State) -> IntArray:
-        """Fit a curved mixture to the draws of local steps, in rounds, and use it if it is efficient enough.
+        """Fit a curved mixture in rounds, starting from the draws of local steps, and use it if it is efficient.
 
-        Otherwise make most steps local if the density needs a curved mixture. Return the evaluations that this
-        cost, shape (chains,).
+        Otherwise make most steps local if the density needs a curved mixture. Return the number of evaluations
+        that this took, shape (chains,).
         """
         self.has_tried = True
         draws = self.walked if self.switched >= 0 else self.visited
@@ -352,14 +360,20 @@ class MixtureTuner:
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
-        """Return the mixture with its final fraction of wider copies: `wide` if given, less if the fit is good."""
+        """Return the mixture with its final fraction of wider copies.
+
+        It is `wide` if given, otherwise `LESS_WIDE` if the fit is good with it; otherwise it is unchanged.
+        """
         if self.sampler.wide is not None:
             return mixture.with_wide(self.sampler.wide)
         less = mixture.with_wide(LESS_WIDE)
         return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 
     def _log_density_so_far(self, u: FloatArray) -> FloatArray:
-        """Return the log-density of all candidates so far, up to a constant, at points u (n, ndim), shape (n,)."""
+        """Return the combined log-density of all mixtures so far at points u (n, ndim), shape (n,).
+
+        It is known up to a constant.
+        """
         of_stages = [stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n]
         return sum_densities(of_stages, [n for n in self.counts if n])
 

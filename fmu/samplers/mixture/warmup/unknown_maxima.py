@@ -1,4 +1,4 @@
-"""Search for maxima that the mixture misses, starting where the mixture's density is too low."""
+"""Search for maxima that the mixture misses, starting at points where the mixture's density is too low."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BETWEEN = np.arange(6) / 6.0  # relative positions on the line from the compone
 
 
 class Seen(NamedTuple):
-    """Points at which the search looks for missed maxima.
+    """Points from which the search for missed maxima may start.
 
     They are candidates, followed by the chains' positions and then the points evaluated before the first fit.
 
@@ -32,7 +32,7 @@ class Seen(NamedTuple):
     position : ndarray, shape (n, ndim)
     log_prob : ndarray, shape (n,)
     log_q : ndarray, shape (n,)
-        Log-density, up to a constant, of all candidates so far.
+        Combined log-density of all mixtures so far, up to a constant.
     candidates, chains : int
         Numbers of candidates and of chains.
     """
@@ -51,7 +51,7 @@ class Seen(NamedTuple):
 
 
 class NewMaximum(NamedTuple):
-    """A maximum as a quadratic in unwarped coordinates, and its probability relative to the mixture's."""
+    """A maximum as a quadratic in unwarped coordinates, and its mass relative to the mixture's."""
 
     quadratic: Quadratic
     mass: float
@@ -98,7 +98,10 @@ def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[l
 
 
 def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
-    """Return the mixture with a component added at each maximum; later fits correct their weights and shapes."""
+    """Return the mixture with a component added at each maximum.
+
+    Later fits correct the weights and shapes of these components.
+    """
     if not maxima:
         return mixture
     new = [mixture.warp.quadratic(one.quadratic) for one in maxima]
