@@ -103,7 +103,7 @@ class Mixture:
 
     @property
     def gaussians(self) -> Mixture:
-        """The mixture itself, because further fits can refine it. (For a `CurvedMixture` it is None.)"""
+        """The mixture itself, because further fits can refine it; None for a `CurvedMixture`."""
         return self
 
     def with_wide(self, wide: float) -> Mixture:
