@@ -103,7 +103,7 @@ class GeneralResponses:
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return responses u to a unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
+        """Return basis coordinates of the motion per unit force at each point, (n, n_points, r, n_lines)."""
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
         for i, solved in enumerate(self._poles):

@@ -170,7 +170,7 @@ class FRFModel:
         return {"frfs": digest(settings.encode() + contents)}
 
     def at(self, theta: FloatArray, values: FloatArray) -> ModalResponses | GeneralResponses:
-        """Return the responses for structural parameters (n, p) and damping parameters (n, q)."""
+        """Return the frequency responses for structural parameters (n, p) and damping parameters (n, q)."""
         return self._respond(self.block, self.of_block, self.points, theta, values)
 
     def on(self, block: ReducedBlock) -> FRFModel:

@@ -240,7 +240,7 @@ class ModalResponses:
         return found
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return the responses to a unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
+        """Return basis coordinates of the motion per unit force at each point, (n, n_points, r, n_lines)."""
         x, y = self._resonances(omega)
         return np.asarray(self.phi[:, None] @ (self._seen[..., None] * (x + 1j * y)[:, None]))
 

@@ -52,7 +52,7 @@ class Solved(Protocol):
         ...
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return the responses to a unit force at each point, (n, n_points, r, n_lines)."""
+        """Return basis coordinates of the motion per unit force at each point, (n, n_points, r, n_lines)."""
         ...
 
 
@@ -60,7 +60,7 @@ class Bound(Protocol):
     """Responses of a reduced block as a function of the structural parameters."""
 
     def at(self, theta: FloatArray) -> Solved:
-        """Return the responses at theta (n, n_parameters)."""
+        """Return the frequency responses at theta (n, n_parameters)."""
         ...
 
     def least_unit(self, point: int, unit: FloatArray) -> FloatArray:

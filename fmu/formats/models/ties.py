@@ -106,7 +106,7 @@ def _faces(mesh: Mesh, row_of: Mapping[int, int]) -> Iterator[_Face]:
 
 
 def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the corners of a face, and for each corner the next one around the face."""
+    """Return the distinct corners of a face in order, and the same corners shifted by one."""
     corners = tuple(dict.fromkeys(face))
     return corners, (*corners[1:], corners[0])
 
