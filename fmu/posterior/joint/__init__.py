@@ -1,6 +1,7 @@
-"""Joint updating with several tests of one structure: shared and varying parameters, and known changes.
+"""Joint updating with several tests of one structure.
 
-A parameter may scatter from test to test, with values drawn from a *population*. A test's *score* is its
+A parameter may be shared by the tests, may vary between them, or may have a known value in some of them. A
+parameter may also scatter from test to test, with values drawn from a *population*. A test's *score* is its
 standardised value: a standard normal number that the population's distribution maps to the parameter value in
 that test. All parameters in theta other than the scores are the *main parameters*.
 

@@ -1,4 +1,4 @@
-"""Newton-type steps and maxima for a hierarchical posterior whose Hessian is solved block by block.
+"""Find maxima of a hierarchical posterior with Newton-type steps that exploit the block structure of its Hessian.
 
 Let m be the main parameters and z_t the scores in test t. The negative second derivatives of the log-density have
 the blocks
@@ -43,10 +43,10 @@ class BlockHessian:
     scores: FloatArray
 
     def damp(self, damping: float | FloatArray, held: BoolArray) -> BlockHessian:
-        """Return a copy with its diagonal multiplied by 1 + damping.
+        """Return a copy whose diagonal is multiplied by 1 + damping.
 
-        Main parameters marked in `held`, shape (d,), get rows and columns of the identity matrix, so they do not
-        move.
+        The rows and columns of main parameters that are True in `held`, shape (d,), are replaced by rows and
+        columns of the identity matrix, so that these parameters do not move.
         """
         main, cross, scores = self.main.copy(), np.where(held, 0.0, self.cross), self.scores.copy()
         k, i = np.arange(len(main)), np.arange(scores.shape[1])
@@ -68,12 +68,12 @@ class BlockHessian:
         return main, reduced[..., -1] - reduced[..., :-1] @ main
 
     def _complement(self, left: FloatArray) -> FloatArray:
-        """Return the Schur complement (d, d) plus a small multiple of the identity, so that it is not singular."""
+        """Return the Schur complement (d, d), plus a small multiple of the identity so that it is not singular."""
         schur = self.main - np.einsum("tik,til->kl", self.cross, left)
         return schur + 1e-12 * (1.0 + np.trace(self.main)) * np.eye(len(schur))
 
     def score_variances(self) -> FloatArray:
-        """Return the score variances, shape (n_tests, p)."""
+        """Return each score's variance, shape (n_tests, p), from the diagonal of the inverse Hessian."""
         inverse = np.linalg.inv(self.scores)
         left = inverse @ self.cross
         schur = self._complement(left)
@@ -82,12 +82,12 @@ class BlockHessian:
 
 
 class BlockForm:
-    """Second-order expansion of a hierarchical posterior in block form, with standard normal scores.
+    """Second-order expansion of a hierarchical posterior in block form.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem with populations, in the non-centred form.
+        A problem with populations, in the non-centred form (all scores are standard normal).
     columns : ndarray of int, shape (d,)
         Indices in theta of the main parameters that may move; the others stay fixed.
     """
@@ -135,7 +135,7 @@ class BlockForm:
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:
-        """Return minus the second derivatives of the log-prior, (d, d), plus the information on error sds."""
+        """Return minus the log-prior's second derivatives, (d, d), plus the Fisher information on error sds."""
         problem, scale = self.problem, self.scaled.scale
         found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)

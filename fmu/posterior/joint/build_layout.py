@@ -1,4 +1,4 @@
-"""Build the parameter layout of several tests from the way each structural parameter varies."""
+"""Build the parameter layout for several tests. It depends on how each structural parameter varies."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def build_layout(
     eta: float | None,
     outliers: Outliers | None,
 ) -> Layout:
-    """Return the parameter layout of several tests; `fmu.JointProblem` describes and checks the arguments.
+    """Return the parameter layout for several tests; `fmu.JointProblem` describes and checks the arguments.
 
-    `varies` has an entry for every structural parameter. `eta` is the argument `correlation`.
+    `varies` has an entry for every structural parameter. `eta` is its argument `correlation`.
     """
     theta, values_of = Theta(tests, reference), []
     trends = Trends(structural, slopes, theta)

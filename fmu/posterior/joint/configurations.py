@@ -1,4 +1,4 @@
-"""Sort several tests into configurations. Tests with the same matrices and sensors are solved in one batch."""
+"""Sort several tests into configurations: groups with the same matrices and sensors, solved in one batch."""
 
 from __future__ import annotations
 
@@ -58,8 +58,9 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
 def _alike(every: Sequence[ModalData]) -> list[ModalData]:
     """Return the tests' data, either all with or all without frequency uncertainty, so that they can be stacked.
 
-    Tests that use no mode, such as those whose modes were picked in FRFs, are adapted to the others. Raise
-    TestsError if only some of the other tests have uncertainties.
+    Tests without a mode in use, such as those whose modes were picked from FRFs, are made like the others: they
+    lose their uncertainty or get a default one. Raise TestsError if only some of the other tests have
+    uncertainties.
     """
     trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
     counted = [t for t, data in enumerate(every) if any(data.use)] or list(range(len(every)))
@@ -135,7 +136,9 @@ def find_configurations(
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
     """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
 
-    Frequencies and shapes are means over the tests. Standard deviations are the smallest over the tests.
+    Frequencies and shapes are means over the tests, and standard deviations the smallest over the tests. There are
+    no shapes unless every mode has one. Raise TestsError if the tests contradict each other on a mode's number, or
+    if a mode lacks a counterpart that other modes have.
     """
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]

@@ -1,4 +1,4 @@
-"""Correlation between the populations of several parameters, modelled by a Gaussian copula.
+"""Model the correlation between the populations of several parameters with a Gaussian copula.
 
 The scores z_t of all populations in test t are standard normal with the correlation matrix R. The log-density of
 the copula,
@@ -80,7 +80,8 @@ class Correlation:
     def precision(self, theta: FloatArray) -> FloatArray:
         """Return the inverse correlation matrix minus I for each test, shape (n, n_tests, p, p).
 
-        Only scores that the test has are correlated and inverted. Entries for missing scores are zero.
+        For each test, only the scores that it has are included in the matrix that is inverted. Entries for missing
+        scores are zero.
         """
         n_tests, p = self.scored.shape
         found = np.zeros((len(theta), n_tests, p, p))
@@ -116,7 +117,7 @@ class Correlation:
         return np.einsum("nij,nkij->nk", 2.0 * by_R @ L, slopes)
 
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
-        """Return the partial correlations, shape (p (p − 1) / 2,), of scores with the second moments (p, p)."""
+        """Return the partial correlations, (p (p − 1) / 2,), of scores with the given second moments (p, p)."""
         return np.clip(partial_correlations(np.linalg.cholesky(second_moments)), -_START, _START)
 
     @cached_property
@@ -141,10 +142,10 @@ class Correlation:
         return found
 
     def _blocks(self, L: FloatArray) -> Iterator[Any]:
-        """Yield the block of the correlation matrix that belongs to each of the `_patterns`.
+        """Yield the block of the correlation matrix for each of the `_patterns`.
 
-        Each item has the population indices, the test indices, the block's index, its inverse and its
-        log-determinant.
+        Each item has the population indices, the test indices, the index that selects the block, the block's
+        inverse and its log-determinant.
         """
         R = L @ np.swapaxes(L, 1, 2)
         for here, tests in self._patterns:
@@ -192,7 +193,7 @@ def partial_correlations(factor: FloatArray) -> FloatArray:
 
 
 def correlations(names: Sequence[str], eta: float) -> list[Parameter]:
-    """Return the partial correlations between the populations `names` as parameters, with the prior LKJ(η)."""
+    """Return the partial correlations between the populations `names` as parameters with the LKJ(η) prior."""
     found, p = [], len(names)
     for j in range(1, p):
         for i in range(j):

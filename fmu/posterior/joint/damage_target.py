@@ -1,4 +1,4 @@
-"""Define the decision about damage that a planned test is to support."""
+"""Define the decision about damage that a planned test should support."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class DamageTarget:
     Attributes
     ----------
     of : str or sequence of str
-        Names of the parameters that may have lost stiffness. With several tests (`fmu.JointProblem`), these
-        parameters vary by `Damage` or by group, and the loss is the one in the planned test's group. With one
-        test, these parameters may lose stiffness between this test and the planned one.
+        Names of the parameters that may have lost stiffness. If the problem has several tests
+        (`fmu.JointProblem`), they must vary by `Damage` or by group, and the loss is the one in the planned test's
+        group. If it has one test, the loss occurs between this test and the planned one.
     beyond : float
         The relative loss that matters, such as 0.1; it must be less than 0.5.
     prior : Prior, optional
-        With one test, the prior of each loss; defaults to the prior of `Damage`.
+        Prior of each loss, for a problem with one test; defaults to the prior of `Damage`.
     """
 
     of: str | Sequence[str]
@@ -42,13 +42,13 @@ class DamageTarget:
         return tuple(as_list(self.of))
 
     def parameters(self, problem: UpdatingProblem) -> list[Parameter]:
-        """Return the losses as new parameters for a problem with one test; with several tests the list is empty.
+        """Return the losses as new parameters if the problem has one test, or an empty list if it has several.
 
         Raises
         ------
         ValueError
-            If no parameter of that name can have a loss, a name occurs twice, or a prior is given for several
-            tests.
+            If no parameter of that name can have a loss, a name occurs twice, or a prior is given for a problem
+            with several tests.
         """
         several = len(problem.tests) > 1
         known = problem.layout.by_state if several else problem.names[: problem.n_structural]

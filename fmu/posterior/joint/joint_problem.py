@@ -167,9 +167,10 @@ def simulate_next_test(
         Posterior draws. For each draw, a parameter with a population gets a new value from that population; the
         further test is not an outlier.
     like : str, optional
-        Name of the test whose configuration, group, modes and errors the further test has. Default: the first.
+        Name of the test whose configuration, group, modes and error models the further test has. Default: the
+        first test.
     covariates : mapping of str to float, optional
-        Covariates in the further test. Covariates without an entry have their means over the tests.
+        Covariates in the further test. A covariate without an entry is set to its mean over the tests.
 
     Returns
     -------
@@ -179,7 +180,7 @@ def simulate_next_test(
     Raises
     ------
     ValueError
-        If `like` or a covariate is unknown, or the error models give no frequency distribution.
+        If `like` or a covariate is unknown, or the error models do not define a frequency distribution.
     """
     tests = problem.tests
     names = [test.name for test in tests]
@@ -244,7 +245,7 @@ def find_mistakes(
 ) -> list[str]:
     """Return error messages about contradictions between tests and parameters, each naming the argument.
 
-    The first `of_model` parameters are the model's, the others are damping parameters.
+    The first `of_model` parameters belong to the model. The others are damping parameters.
     """
     names = [p.name for p in parameters]
     found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []

@@ -99,8 +99,8 @@ class Layout:
     def of_model(self, theta: FloatArray) -> FloatArray:
         """Return the arguments of `ModelInTests` followed by the inferred error sds, at theta (n, ndim).
 
-        The model's arguments are the structural parameters in every test, one test after the other
-        (`fmu.posterior.joint.model_in_tests.ModelInTests`).
+        The model's arguments are the structural parameters in the first test, then those in the second test, and
+        so on (`fmu.posterior.joint.model_in_tests.ModelInTests`).
         """
         if self.is_identity:
             return theta
@@ -172,7 +172,10 @@ class Layout:
 
     @property
     def scales(self) -> list[int]:
-        """Sorted indices in theta of the populations' centres, widths and correlations, and the outlier share."""
+        """Sorted indices in theta of the parameters of the populations and of the score density.
+
+        They are the populations' centres, widths and correlations, the correlation times and the outlier share.
+        """
         found = {k for one in self.drawn for k in (one.centre, *one.widths.tolist())}
         return sorted([*found, *(self.density_of_scores.columns if self.density_of_scores else ())])
 
@@ -194,7 +197,7 @@ class Layout:
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
 
     def without_time(self) -> Layout:
-        """Return the layout with scores that are independent in time."""
+        """Return a copy of the layout in which scores are independent in time."""
         return replace(self, in_time=None)
 
     def values(self, theta: FloatArray) -> FloatArray:
@@ -205,7 +208,7 @@ class Layout:
         return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
 
     def distinct(self, tests: Sequence[int], parameters: Sequence[int]) -> tuple[IntArray, IntArray]:
-        """Return the groups of tests in which some structural parameters have equal values at every theta.
+        """Return the groups of tests in which the given structural parameters have equal values at every theta.
 
         Parameters
         ----------
@@ -217,7 +220,7 @@ class Layout:
         first : ndarray of int, shape (n_distinct,)
             Index of the first test in each group.
         row : ndarray of int, shape (len(tests),)
-            For each test, its group's index into `first`.
+            For each test, the index of its group in `first`.
         """
         numbers: dict[Any, int] = {}
         identities = (tuple(self.values_of[j].identity(t) for j in parameters) for t in tests)
@@ -249,7 +252,7 @@ class Layout:
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
-        """Draw scores that are independent in time, shape (n, n_tests, n_populations)."""
+        """Draw scores as if they were independent in time, shape (n, n_tests, n_populations)."""
         return self.correlate(theta, rng.standard_normal((len(theta), n_tests, len(self.drawn))))
 
     def correlate(self, theta: FloatArray, z: FloatArray) -> FloatArray:
@@ -262,7 +265,7 @@ class Layout:
         return tuple(np.stack(end, axis=1) for end in zip(*ends, strict=True))  # type: ignore[return-value]
 
     def chain_slopes(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Apply the chain rule: return the derivatives with respect to theta of m quantities, each from one test.
+        """Return the derivatives with respect to theta of m quantities, each from one test (chain rule).
 
         Parameters
         ----------
@@ -285,7 +288,7 @@ class Layout:
         return found
 
     def gradient(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Return the gradient with respect to theta, (n, ndim), of m summed terms, each from one test.
+        """Return the gradient with respect to theta, (n, ndim), of a sum of m terms, each from one test.
 
         Parameters
         ----------
@@ -309,7 +312,7 @@ class Layout:
         return found
 
     def log_prior(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the log-prior (n,), given the log-prior that theta would have if all parameters were independent.
+        """Return the log-prior (n,). `independent` is the log-prior of theta if all parameters were independent.
 
         Independent scores are standard normal. Corrections are added for centred scores, whose density depends on
         the population, and for scores that are correlated or may be outlying.
@@ -323,11 +326,11 @@ class Layout:
         return value
 
     def population_scores(self, theta: FloatArray) -> FloatArray:
-        """Return the values standardised by their populations, shape (n, n_tests, n_populations)."""
+        """Return the parameter values standardised by their populations, shape (n, n_tests, n_populations)."""
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the gradient of `log_prior`, (n, ndim), given the gradient for independent parameters."""
+        """Return the gradient of `log_prior`, (n, ndim). `independent` is the one for independent parameters."""
         gradient = independent
         for one in self._centred:
             by_score, by_centre, by_width = one.log_prior(theta)[1]
@@ -380,14 +383,14 @@ class Layout:
         return self.restore_scores(theta)
 
     def standardise_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) in which all scores are standard normal (without centring)."""
+        """Return a copy of theta (n, ndim) with all scores converted to the non-centred form (standard normal)."""
         found = theta.copy()
         for one in self.drawn:
             found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
         return found
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Convert standard normal scores in theta (n, ndim) to this layout's centring, and return the copy."""
+        """Return a copy of theta (n, ndim) with its standard normal scores converted to this layout's centring."""
         for one in self._centred:
             theta = one.restore_scores(theta)
         return theta

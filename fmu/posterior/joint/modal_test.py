@@ -1,4 +1,4 @@
-"""One of several modal tests: its measured modes, and the known changes to the structure in this test."""
+"""One of several modal tests: its measured modes, and the known changes to the structure for this test."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class TestsError(ValueError):
     Attributes
     ----------
     mistakes : tuple of str
-        One message per error, each preceded by the wrong argument: ``tests.2.name: …``.
+        One message per error, each beginning with the wrong argument: ``tests.2.name: …``.
     """
 
     __test__ = False
@@ -124,12 +124,12 @@ class Test:
 
     @property
     def configuration(self) -> tuple[Any, ...]:
-        """Known changes and sensors of this test; equal for tests with the same matrices and sensors."""
+        """Known changes and sensors of this test. Tests with equal values have the same matrices and sensors."""
         changes = (tuple(sorted(part.items(), key=str)) for part in (self.masses, self.springs, self.known))
         return (*changes, tuple(self.data.sensors))
 
     def known_covariate(self, name: str) -> float | None:
-        """Return the value of a covariate, or None if the test does not have it or its value must be inferred."""
+        """Return the value of a covariate, or None if the test does not have it or its value is inferred."""
         given = self.covariates.get(name)
         return None if given is None or isinstance(given, Prior) else float(given)
 

@@ -1,4 +1,4 @@
-"""One structural model evaluated in several tests, as a function of the structural parameters in each test."""
+"""Evaluate one structural model in several tests, as a function of the structural parameters in each test."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class ModelInTests(ModalModel):
         return sum(one * n for one, n in found if one is not None) if self.functions else None
 
     def coarser(self, share: float) -> Self:
-        """Return a model with coarser models in all configurations, or the same model if there are none."""
+        """Return a copy that uses each configuration's coarser model, if it has one."""
         return self._with([model.coarser(share) for model in self.parts])
 
     def _with(self, models: Sequence[ModalModel]) -> Self:
@@ -167,7 +167,7 @@ class ModelInTests(ModalModel):
         return type(self)(both, self.tests, self.n_structural, self.n_modes)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first model whose matrices depend on structural parameter `k`, and the index of `k` in it.
+        """Return the first model whose matrices depend on structural parameter `k`, and its index of `k`.
 
         Return None if no matrices depend on it.
         """
@@ -177,9 +177,9 @@ class ModelInTests(ModalModel):
         return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield name, model and model parameters of each test that has no frequencies at theta (n_parameters,).
+        """Yield name, model and model parameters of each solved test without frequencies at theta (n_parameters,).
 
-        With a user's function every solved test is yielded, because the function is not called again.
+        If the model is a user's function, every solved test is yielded, because the function is not called again.
         """
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
@@ -191,7 +191,7 @@ class ModelInTests(ModalModel):
                 yield self.tests[part.distinct[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Apply `of` to the model and parameters of each configuration; return its results for all measured modes.
+        """Apply `of` to each configuration's model and parameters; return the results for all measured modes.
 
         The result has the shape (n, n_modes, …).
         """

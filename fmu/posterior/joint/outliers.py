@@ -1,14 +1,14 @@
-"""Outlying tests, whose scores have a wider distribution than the scores of other tests.
+"""Model outlying tests, whose scores have a wider distribution than the scores of other tests.
 
 With probability ε, a test is an outlier of one of m equally probable kinds c: the score in a single population, or
 all scores, are s times as large (a contaminated normal distribution; Tukey 1960, in *Contributions to Probability
-and Statistics*, Stanford University Press, 448–485). Let the diagonal matrix D_c hold these factors of 1 and s,
+and Statistics*, Stanford University Press, 448–485). Let the diagonal matrix D_c contain these factors (1 or s),
 and let R be the populations' correlation matrix. The density of a test's scores is
 
     p(z) = (1 − ε) N(z; 0, R) + ε/m Σ_c N(z; 0, D_c R D_c).
 
-It sums exactly over the possible outliers. The probability that a test is an outlier of kind c, given the data, is
-the posterior mean of term c's share in the sum.
+The sum over the possible outliers is exact. The probability that a test is an outlier of kind c, given the data,
+is the posterior mean of term c's share in the sum.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class ContaminatedScores:
         return value, by_score, np.concatenate([np.zeros((len(theta), 0)), *by_columns], axis=1)
 
     def precision(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the expected score precision minus I, averaged over kinds of test, (n, n_tests, p, p)."""
+        """Return the score precision minus I, averaged over the kinds (regular or outlier), (n, n_tests, p, p)."""
         share_of = self.probabilities(theta, z)
         every = [self.precision_of(theta, scales[None]) for scales in self.scales]
         eye = np.eye(z.shape[2])
@@ -180,26 +180,29 @@ class ContaminatedScores:
         return np.asarray(found - eye)
 
     def precision_of(self, theta: FloatArray, scales: FloatArray) -> FloatArray:
-        """Return the score precision (D R D)⁻¹, (n, n_tests, p, p), for the D in `scales`, (n, n_tests, p)."""
+        """Return the score precision (D R D)⁻¹, (n, n_tests, p, p), with the diagonals D in `scales`.
+
+        `scales` has the shape (n, n_tests, p).
+        """
         inverse = np.eye(scales.shape[2]) + (
             0.0 if self.correlation is None else self.correlation.precision(theta)
         )
         return np.asarray(inverse / (scales[..., :, None] * scales[..., None, :]))
 
     def weights(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the expected inverse square scale 1/D² of each score in z, shape (n, n_tests, p).
+        """Return the expected value of 1/D², shape (n, n_tests, p), where D is the scale of each score in z.
 
-        It is 1 for a regular test.
+        It is 1 if the test is certainly regular, and smaller if it may be an outlier.
         """
         return np.einsum("nct,ctp->ntp", self.probabilities(theta, z), self.scales**-2.0)
 
     def probabilities(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the probability of each kind for each test, (n, n_kinds, n_tests), given its scores z."""
+        """Return each test's probability of each kind (regular or outlier), (n, n_kinds, n_tests), given z."""
         terms = self._terms(theta, z).log
         return np.exp(terms - logsumexp(terms, axis=1)[:, None])
 
     def outlying(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability that each test is an outlier, (n, n_tests), and each score, (n, n_tests, p)."""
+        """Return the outlier probability of each test, (n, n_tests), and of each score, (n, n_tests, p)."""
         share_of = self.probabilities(theta, z)
         return self._outlying(share_of), np.einsum("nct,ctp->ntp", share_of, (self.scales > 1.0).astype(float))
 
@@ -218,7 +221,7 @@ class ContaminatedScores:
     def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:
         """Return a copy of theta with the outlier share ε drawn given the score scales (n, n_tests, p).
 
-        Its conditional distribution is beta, with the number of outliers added to a and of regular tests to b.
+        Its conditional distribution is beta: the number of outliers is added to a, and of regular tests to b.
         """
         prior = self.of.prior
         if self.share is None or prior is None:

@@ -1,4 +1,4 @@
-"""Masses, displacements and frequency response functions, each measured in one of several tests."""
+"""Use masses, displacements and frequency response functions, each measured in one of several tests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
-    """Error models for several tests, split into those for modes and those for other measured quantities.
+    """Error models for several tests, sorted into those for modes and those for other measured quantities.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Errors(NamedTuple):
 
     @classmethod
     def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
-        """Split the user's error models into those for modes and those for other quantities."""
+        """Sort the user's error models into those for modes and those for other quantities."""
         given: Any = as_list(error)
         quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
         if not quantities:
@@ -94,11 +94,11 @@ class StructureInTest(NamedTuple):
     ----------
     structure : SeparableModel
     parameters : list of Parameter
-        Its p parameters, bounded by the values that they can take in the test.
+        The structure's p parameters, bounded by the values that they can take in the test.
     test : int
         Index of the test.
     numbers : ndarray of int, shape (p,)
-        Indices of its parameters among the structural parameters.
+        Indices of these p parameters among the structural parameters.
     """
 
     structure: Any
@@ -178,14 +178,14 @@ class InOneTest:
 
 
 def over(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return `p` if its bounds contain the interval; otherwise a copy bounded to it, with a uniform prior."""
+    """Return `p` if its bounds include the interval, otherwise a copy with a uniform prior on the interval."""
     if p.lower <= lower and upper <= p.upper:
         return p
     return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
 
 
 def _close_box(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return `over(p, lower, upper)` with the interval's limits in place of infinite bounds."""
+    """Return `over(p, lower, upper)`, with any infinite bound replaced by the interval's limit."""
     found = over(p, lower, upper)
     low = found.lower if np.isfinite(found.lower) else float(lower)
     high = found.upper if np.isfinite(found.upper) else float(upper)

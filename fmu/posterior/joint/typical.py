@@ -1,4 +1,4 @@
-"""Find a typical point of a hierarchical posterior, whose maximum lies far from most of the probability."""
+"""Find a typical point of a hierarchical posterior, because its maximum lies far from most of the probability."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
     """Return the layout in which the scores are centred so that the posterior is easiest to sample.
 
     Let C be a value's variance given its own test alone, and σ² the population's variance. The best weight for the
-    centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, where a centred form has
-    its funnel. This σ is taken as σ exp(−2/√(2 Σ w²)), because the information on log σ is 2 Σ w². If σ may be
-    zero, no score is centred.
+    centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, because a centred form
+    has its funnel there. As the information on log σ is 2 Σ w², this σ is taken as σ exp(−2/√(2 Σ w²)). If σ may
+    be zero, no score is centred.
 
     Parameters
     ----------
@@ -137,13 +137,13 @@ def _date_events(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
 
 
 def _weights(layout: Layout, theta: FloatArray) -> FloatArray:
-    """Return each test's weight in each population, shape (p, n_tests): small for outliers, otherwise one."""
+    """Return each test's weight in each population, shape (p, n_tests): 1, or less for probable outliers."""
     z = np.stack([one.population_scores(theta[None])[0] for one in layout.drawn], axis=2)
     return np.ones(z.shape[:0:-1]) if layout.outliers is None else layout.outliers.weights(theta[None], z)[0].T
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
-    """Set the populations' correlations in `theta` from the scores' second moments, including their `variance`."""
+    """Set the populations' correlations in `theta` from the scores' second moments. These include `variance`."""
     correlation: Any = layout.correlation
     found = [one.population_scores(theta[None]) for one in layout.drawn]
     z = np.stack([z[0] for z, _ in found], axis=1)

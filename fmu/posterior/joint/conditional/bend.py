@@ -1,8 +1,9 @@
-"""Curved ridges in the density of a test's scores, when precise data leave some score combinations undetermined.
+"""Model the curved ridges in a test's score density.
 
-Along an undetermined combination the other combinations follow a curve, to second order a parabola. Let the
-coordinates y have unit variances in the normal approximation, sorted by decreasing score variance. The density is
-close to a normal distribution for y, with
+They occur if precise data leave some combinations of scores undetermined. Along an undetermined combination, the
+other combinations follow a curve, which is a parabola to second order. Let the coordinates y have unit variances
+in the normal approximation, sorted by decreasing score variance. The density is close to a normal distribution for
+y, with
 
 x_j = y_j + Σ_(i,k<j) Q_jik y_i y_k,
 
@@ -26,11 +27,11 @@ class Bend(NamedTuple):
     Attributes
     ----------
     forward, inverse : ndarray, shape (n_tests, p, p)
-        The matrix that maps a score's distance from the centre to coordinates, and its inverse.
+        The matrix that maps the scores' offset from the centre to coordinates, and its inverse.
     curvature : ndarray, shape (n_tests, p, p, p)
         The coefficients Q.
     slopes : ndarray, shape (n_tests, p)
-        Derivatives of parameter values with respect to scores at which the matrices are valid.
+        Derivatives of parameter values with respect to scores at the point where the matrices were computed.
     """
 
     forward: FloatArray

@@ -1,4 +1,4 @@
-"""The two conditional densities between which the sampler of a hierarchical problem alternates."""
+"""Collect the two conditional densities between which the sampler of a hierarchical problem alternates."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _CLIMBED = 0.01
 
 
 class Conditionals(NamedTuple):
-    """The score density and the main-parameter density of a hierarchical problem, with standard normal scores.
+    """The score density and the main-parameter density of a hierarchical problem.
 
-    The scores are treated as independent in time.
+    The scores are standard normal a priori and treated as independent in time.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Conditionals(NamedTuple):
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores, and with the errors of the model if it has any.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
-        Prior standard deviations of the scores at the typical point; they differ from 1 for outliers only.
+        Prior standard deviations of the scores at the typical point. They differ from 1 only for outliers.
     """
 
     scores: ScoresGivenMain
@@ -92,9 +92,9 @@ def scatter_about_typical(
     """Return `n` starting points about the typical point of a hierarchical posterior, shape (n, ndim).
 
     Main parameters are drawn from their fitted normal distribution and scores from their normal approximations,
-    both widened by the factor `dispersion`. Each point is moved halfway to the typical point, repeatedly, until it
-    is inside the bounds and has a finite density. Its main parameters must also be about as probable as draws from
-    that normal distribution.
+    both widened by the factor `dispersion`. A point is accepted if it is inside the bounds, its density is finite,
+    and its main parameters are about as probable as draws from that distribution. Otherwise it is moved halfway
+    to the typical point, repeatedly.
     """
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores
@@ -228,7 +228,7 @@ def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, sc
 def _bend(
     straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> ScoresGivenMain:
-    """Return the score density, with curved approximations if any ridges are noticeably curved."""
+    """Return the score density, with parabolic ridges if at least one ridge is noticeably curved."""
 
     def gradient(z: FloatArray) -> FloatArray:
         slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]

@@ -1,4 +1,4 @@
-"""Proposals for the dates of sudden losses, with all scores integrated out and all dates considered at once.
+"""Propose dates of sudden losses, with all scores integrated out and all dates considered at once.
 
 A test's loss is a share r of its event's losses d. The share is zero before the date and one after it; it is in
 between if the date lies in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, a
@@ -7,10 +7,10 @@ typical losses (`ScoresGivenMain.log_evidence`). Given all other main parameters
 losses is then a sum over the tests before the date and a quadratic form in d over the tests after it. Both are
 cumulative sums over the test times, so all dates together cost two evaluations of E.
 
-Date and losses are proposed together: first the interval that contains the date, then the date uniformly within
-it, then the losses from a normal distribution. The proposal depends on neither the present date nor the present
-losses, because each of them alone would pin the other (collapsed Gibbs steps, Liu 1994, *J. Am. Stat. Assoc.* 89,
-958–966).
+The date and the losses are proposed together: first the interval that contains the date, then the date (uniformly
+within the interval), then the losses (from a normal distribution). The proposal depends on neither the current
+date nor the current losses, because each would tie the other to its current value (collapsed Gibbs steps, Liu
+1994, *J. Am. Stat. Assoc.* 89, 958–966).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SD = 0.3
 
 
 class _GivenDate(NamedTuple):
-    """Density of an event's losses for each interval of its date, and the interval probabilities.
+    """Probability of each interval for an event's date, and the distribution of the losses given the interval.
 
     Attributes
     ----------
@@ -172,15 +172,15 @@ class DateOfEvent:
         return _GivenDate(weight + np.log(self._widths), mean, factor)
 
     def _by_loss(self, given: ScoresGivenMain, theta: FloatArray, k: int) -> FloatArray:
-        """Return the derivatives of the parameter values in all tests with respect to loss k, (n, n_tests)."""
+        """Return the derivatives, (n, n_tests), of the parameter value in each test with respect to loss k."""
         slopes = given.layout.values_of[self.numbers[k]](theta)[1]
         return next(one.values for one in slopes if one.columns[0] == self.losses[k])
 
     def _after(self, terms: FloatArray, power: int) -> FloatArray:
         """Sum `terms` (n, n_times, …) over the tests after each date interval; return shape (n, n_intervals, …).
 
-        The test right after the interval counts with its loss share raised to `power`, or with the share itself if
-        `power` is zero.
+        The term of the first test after the interval is multiplied by that test's loss share to the `power`, or by
+        the share itself if `power` is zero.
         """
         shape = (-1, *(1,) * (terms.ndim - 2))
         share = (self._share ** max(power, 1)).reshape(shape)

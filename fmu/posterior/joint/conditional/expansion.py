@@ -1,4 +1,4 @@
-"""Second-order expansion of each test's log-likelihood in the structural parameters of that test."""
+"""Expand each test's log-likelihood to second order in the structural parameters of that test."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OfTests = ModalLikelihood | FRFLikelihood
 
 
 def likelihood_of_tests(problem: UpdatingProblem) -> OfTests:
-    """Return the likelihood of a problem with several tests, which has no soft pairing or modal residual."""
+    """Return a problem's likelihood, typed as `OfTests`. The problem must have several tests."""
     likelihood = problem.likelihood
     assert isinstance(likelihood, OfTests)  # for the type checker
     return likelihood
@@ -63,10 +63,10 @@ class Expansion(NamedTuple):
         return self._replace(slope=self.slope + slope, information=self.information + information)
 
     def weigh(self, noise: FloatArray) -> FloatArray:
-        """Return factors, (n, n_tests, 1), that adapt slope and information to error sds `noise` (n, n_noise).
+        """Return factors, (n, n_tests, 1), that adapt slope and information to the error sds `noise` (n, n_noise).
 
-        A factor averages, over a test's errors, the variance at the expansion point divided by the present
-        variance. It is exact if all errors in the test have one standard deviation.
+        A test's factor is the ratio of the error variance at the expansion point to the current error variance,
+        averaged over the test's errors. It is exact if all errors in the test have the same standard deviation.
         """
         if not noise.shape[1]:
             return np.ones((1, 1, 1))

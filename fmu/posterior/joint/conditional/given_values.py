@@ -1,4 +1,4 @@
-"""Proposals for the populations given the parameter values in the tests, when the bounds have no influence.
+"""Propose populations given the parameter values in the tests. This requires that the bounds have no influence.
 
 The populations have centres μ, standard deviations s and the correlation matrix R. Given the values x_t (their
 logarithms in log-normal populations), the likelihood has no further information on these. Let Σ = D R D, where D
@@ -8,12 +8,12 @@ distribution,
     Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n)
 
 (Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from these distributions are Metropolis–Hastings
-candidates. The acceptance ratio is the true prior divided by that prior, both as densities of (μ, s, R):
+candidates. The acceptance ratio contains the true prior divided by that prior, both as densities of (μ, s, R):
 
     w = p(μ) p(s) p(R) |Σ|^((p+1)/2) Π s_k^(−p).
 
-If the tests are precise, this moves the populations much further than steps that keep the scores fixed. Combining
-the two kinds of step is the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
+If the tests are precise, this moves the populations much further than steps at fixed scores. Combining the two
+kinds of step is the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _TESTS = 4
 
 
 class Candidates(NamedTuple):
-    """Proposed populations for n chains, at the present parameter values in the tests.
+    """Proposed populations for n chains, at the current parameter values in the tests.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Candidates(NamedTuple):
 class PopulationsGivenValues:
     """Proposal distribution for populations given the parameter values in the tests.
 
-    Independent populations form one block each and are accepted separately; correlated populations form one block.
+    Each independent population is a block and is accepted separately. Correlated populations form one block.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class PopulationsGivenValues:
         return Candidates(main, new_z, np.where(inside, ratio, -np.inf))
 
     def move(self, theta: FloatArray, found: Candidates, accepted: BoolArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) in which the `accepted` blocks, shape (n, n_blocks), have moved."""
+        """Return a copy of theta (n, ndim) with the candidates of the `accepted` blocks, shape (n, n_blocks)."""
         theta, scored = theta.copy(), self._scored
         theta[:, self._main] = np.where(accepted[..., None], found.main, theta[:, self._main])
         z = np.where(accepted[:, None, :, None], found.z, theta[:, self._scores])
@@ -173,10 +173,10 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 
 
 def _blocks(layout: Layout) -> list[list[Drawn]]:
-    """Return the populations that candidates can be drawn for, in blocks of equal size.
+    """Return the populations for which candidates can be drawn, in blocks of equal size.
 
-    A suitable population has one standard deviation, values that are independent in time, and no outlying tests.
-    Correlated populations also need scores in all tests.
+    A suitable population has one standard deviation, values that are independent in time, enough scores, and no
+    outlying tests. Correlated populations also need scores in all tests, and enough tests for their number.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
     if layout.outliers is not None:

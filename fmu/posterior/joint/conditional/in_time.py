@@ -10,9 +10,9 @@ With the prior density 1/s for μ and s, the generalised least-squares estimate 
 
     S/s² ~ χ²(m − 1),    μ | s ~ N(μ̂, s²/1ᵀQ1)
 
-(Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). A candidate takes T from a random walk in log T, and
-then draws μ and s given T. The Metropolis–Hastings ratio accounts for the bounds and for the priors of μ, s and T.
-So T, μ and s move together along the ridge on which a wide scatter changes slowly.
+(Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). For a candidate, T comes from a random walk in log T,
+and μ and s are then drawn given T. The Metropolis–Hastings ratio accounts for the bounds and for the priors of μ,
+s and T. So T, μ and s move together along the ridge on which a wide scatter changes slowly.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _FEWEST = 3
 
 
 class _Fit(NamedTuple):
-    """Generalised least-squares fit that defines the distribution of μ and s given values and T.
+    """Generalised least-squares fit that defines the distribution of μ and s given the values and T.
 
     Attributes
     ----------
@@ -69,7 +69,8 @@ def move_in_time(
     ----------
     rng : Generator
     theta : ndarray, shape (n, ndim)
-        Points with standard normal scores; the scores change so that the parameter values stay the same.
+        Points with standard normal scores. The step also changes the scores, so that the parameter values in the
+        tests stay the same.
     layout : Layout
         A layout with standard normal scores.
     parameters : sequence of Parameter
@@ -91,7 +92,7 @@ def _move(
     x = np.log(value) if of_logarithm else value
 
     def log_target(theta: FloatArray) -> FloatArray:
-        """Return the log-density of values, μ and s at theta, shape (n,), without the prior of T."""
+        """Return the joint log-density (n,) of the values, μ and s at theta, without the prior of T."""
         c, s = theta[:, one.centre], theta[:, width]
         found = np.einsum("nt->n", one.family.log_pdf(value, c[:, None], s[:, None])[0])
         found = found + np.einsum("nt->n", in_time.log_density(theta, theta[:, columns])[0])

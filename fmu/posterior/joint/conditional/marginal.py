@@ -1,8 +1,9 @@
-"""Approximate density of the main parameters with all scores integrated out, which needs no model solves.
+"""Approximate the density of the main parameters with all scores integrated out, without solving the model.
 
 Test t's likelihood L_t is expanded to second order in the parameter values, which are linear in the scores z_t.
 The integral over the scores is then the integral of a normal density (Laplace's method; Tierney & Kadane 1986, *J.
-Am. Stat. Assoc.* 81, 82–86). With main parameters m, and score precision Λ_t with the data and P without,
+Am. Stat. Assoc.* 81, 82–86). Let m be the main parameters, and let Λ_t and P be the scores' precision with and
+without the test's data. Then
 
     log Q(m) = log p(m) + Σ_t [log L_t(ẑ_t) − ½ ẑ_tᵀ P ẑ_t − ½ log det Λ_t + ½ log det P],
 
@@ -30,9 +31,9 @@ _LEAST, _MOST = 1e-3, 1e3
 class MarginalOfMain:
     """Approximate density of the main parameters with the scores integrated out, at given error sds.
 
-    The density is in coordinates w. For a population's standard deviation s, w is arsinh(s/c), where c is the
-    typical standard deviation of a parameter value given only its own test's data. For a partial correlation ρ it
-    is artanh(ρ), and for all other parameters a scaled value.
+    The density is expressed in coordinates w. A population's standard deviation s has w = arsinh(s/c), where c is
+    the typical standard deviation of a parameter value given only its own test's data. A partial correlation ρ has
+    w = artanh(ρ). For every other parameter, w is the scaled value.
 
     Parameters
     ----------
@@ -107,9 +108,10 @@ class MarginalOfMain:
     def log_prob_and_grad(
         self, w: FloatArray, theta: FloatArray, scales: FloatArray = REGULAR
     ) -> tuple[FloatArray, FloatArray, Linear]:
-        """Return the log-density (n,), its gradient (n, d), and the linearised score densities at w.
+        """Return the log-density (n,) at w, its gradient (n, d), and the linearised score densities.
 
-        The gradient is exact where bounds and the curvature of the values have no influence.
+        The gradient is exact if neither the bounds nor the curvature of the values in the scores have an
+        influence.
 
         Parameters
         ----------
@@ -137,10 +139,10 @@ class MarginalOfMain:
     def rough_covariance(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
         """Return a rough covariance matrix of w, shape (d, d): the inverse curvature at theta (1, ndim).
 
-        The curvature is computed from gradient differences. It may vanish for a standard deviation near zero, so
-        `_CURVATURE` is added for standard deviations and correlations, whose w are of order one. For every
-        parameter, the curvature of a normal distribution as wide as the uniform distribution between the bounds is
-        added, so that the inverse is finite.
+        The curvature is computed from gradient differences, and increased so that the inverse is finite.
+        `_CURVATURE` is added for standard deviations, whose curvature may vanish near zero, and for correlations;
+        both have w of order one. For every parameter, the curvature of a normal distribution as wide as its
+        interval between the bounds is added.
         """
         w, d = self.coordinates(theta), len(self.columns)
         h = _STEP * np.minimum(1.0, np.minimum(w - self.lower, self.upper - w)[0])

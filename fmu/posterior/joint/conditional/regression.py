@@ -48,7 +48,7 @@ class FittedNormal(NamedTuple):
 
 
 def reflect(w: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Reflect points (n, d) into the box between the bounds; return them and the reflection's derivatives ±1."""
+    """Reflect points (n, d) into the box between the bounds; return them and their derivatives, which are ±1."""
     sign = np.where((w < lower) | (w > upper), -1.0, 1.0)
     w = np.where(w < lower, 2.0 * lower - w, np.where(w > upper, 2.0 * upper - w, w))
     return np.clip(w, lower, upper), sign
@@ -74,9 +74,9 @@ def fit_normal(
 
     Notes
     -----
-    Every iteration uses the same standard normal numbers, with zero mean and unit covariance. The curvature of a
-    normal distribution as wide as the uniform distribution between the bounds is added, so that the variances are
-    finite where the density is flat.
+    Every iteration uses the same standard normal numbers, with zero mean and unit covariance. So that the
+    variances are finite where the density is flat, the curvature of a normal distribution as wide as the interval
+    between the bounds is added.
     """
     d, flat = len(mean), 12.0 / (upper - lower) ** 2
     half = max(_POINTS * d, _FEWEST) // 2

@@ -1,4 +1,4 @@
-"""Density of each test's scores given the main parameters; different tests are then independent.
+"""Density of each test's scores given the main parameters. Scores in different tests are then independent.
 
 The posterior density of test t's scores z_t, given the main parameters, is proportional to
 
@@ -29,7 +29,7 @@ _INSIDE = 1e-9
 
 
 class Scattering(NamedTuple):
-    """A structural parameter that scatters over the tests: its values are drawn from a population, times a factor.
+    """A structural parameter that scatters over the tests. Its values are draws from a population times a factor.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Scattering(NamedTuple):
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
     def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the scores (n, n_tests) of `values` (n_tests,), or of the nearest values within the bounds."""
+        """Return the scores (n, n_tests) of `values` (n_tests,), which are first clipped to the bounds."""
         low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
         base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
@@ -72,7 +72,7 @@ class Scores(NamedTuple):
     every : tuple of Scattering
         The parameters that scatter.
     parameters : ndarray of int, shape (p,)
-        Their indices among the structural parameters.
+        Indices of these parameters among the structural parameters.
     columns : ndarray of int, shape (n_tests, p)
         Index of each score in theta; meaningless where there is no score.
     scored : ndarray of bool, shape (n_tests, p)
@@ -104,7 +104,7 @@ class Scores(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Score densities of each test when parameter values are linear in the scores about a centre.
+    """Each test's score density when the parameter values are linear in the scores about a centre.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class Linear(NamedTuple):
     of_prior : ndarray, shape (n, n_tests, p, p)
         Prior precision matrices of the scores.
     scales : ndarray, shape (n, n_tests, p) or (1, 1, 1)
-        Prior standard deviations of the scores; 1 except for outliers.
+        Prior standard deviations of the scores. They differ from 1 only for outliers.
     """
 
     at: FloatArray
@@ -146,7 +146,7 @@ class Linear(NamedTuple):
     scales: FloatArray
 
     def select(self, chosen: BoolArray, other: Linear) -> Linear:
-        """Return these densities for the `chosen` chains, shape (n,), and the `other` ones for the rest."""
+        """Return these densities for the chains in which `chosen` (n,) is True, and `other` for the rest."""
         every = zip(self, other, strict=True)
         return Linear(*(np.where(chosen.reshape(-1, *(1,) * (x.ndim - 1)), x, y) for x, y in every))
 
@@ -157,7 +157,7 @@ class Linear(NamedTuple):
 
 
 class Normal(NamedTuple):
-    """Normal distributions of each test's straightened scores.
+    """Normal distribution of each test's straightened scores.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ class ScoresGivenMain:
     def log_prior(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
         """Return the log-prior of each test's scores given main parameters and `scales`, shape (n, n_tests).
 
-        Constants, and terms that depend on the scales alone, are left out. `scales` is as in `Linear`.
+        Constants, and terms that depend only on the scales, are left out. `scales` is as in `Linear`.
         """
         z = self.scores.take(theta) / scales
         found = -0.5 * np.einsum("ntp,ntp->nt", z, z)
@@ -279,13 +279,13 @@ class ScoresGivenMain:
     def log_evidence(self, linear: Linear) -> FloatArray:
         """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.
 
-        A term that depends on the scales alone is left out.
+        A term that depends only on the scales is left out.
         """
         found, copula = linear.largest - linear.log_det_factor, self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)
 
     def pull_of_values(self, linear: Linear) -> FloatArray:
-        """Return the gradient of `log_evidence` when all P parameter values shift, shape (n, n_tests, P).
+        """Return the gradient of `log_evidence` with respect to the P parameter values, shape (n, n_tests, P).
 
         The derivatives of values with respect to scores are treated as constant.
         """
@@ -302,8 +302,8 @@ class ScoresGivenMain:
     def approximate(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Normal:
         """Return the normal approximation of the score density at the main parameters in theta (n, ndim).
 
-        It uses the expanded likelihood, and parameter values that are linear in the scores. `scales` is as in
-        `Linear`.
+        The likelihood is expanded to second order, and the parameter values are linearised in the scores. `scales`
+        is as in `Linear`.
         """
         return self.normal_of(self.linearise(theta, scales))
 

@@ -1,4 +1,4 @@
-"""Kinds of parameter variation between tests, with one module per kind."""
+"""Kinds of variation of a parameter between tests, with one module for each kind."""
 
 from collections.abc import Sequence
 from typing import get_args
@@ -23,11 +23,11 @@ class Unknown(Varies):
         self.name = name
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a list with one message, which lists the possible kinds of variation."""
+        """Return a list with one message, which names the possible kinds of variation."""
         kinds = " or ".join(kind.__name__ for kind in get_args(Variation))
         return [f"varies.{name}: must be one of {', '.join(VARIES)}, a {kinds} (got {self.name!r})"]
 
 
 def way_of(how: str | Variation) -> Varies:
-    """Return the kind of variation for a name or an object; an unknown name gives an `Unknown`."""
+    """Return the kind of variation with this name, or the object itself. An unknown name gives an `Unknown`."""
     return VARIES.get(how, Unknown(how)) if isinstance(how, str) else how

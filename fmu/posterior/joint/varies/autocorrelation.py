@@ -1,8 +1,8 @@
-"""Population scores that are correlated in time; for evenly spaced tests this is an AR(1) process.
+"""Population scores that are correlated in time. For evenly spaced tests they are an AR(1) process.
 
 The test scores z_t, at times x_1 < x_2 < …, are a stationary Ornstein–Uhlenbeck process (Uhlenbeck & Ornstein
-1930, *Phys. Rev.* 36, 823–841). Each is standard normal, and two of them have the correlation exp(−|x_i − x_j|/T),
-where T is the correlation time. With ρ_t = exp(−(x_t − x_(t−1))/T),
+1930, *Phys. Rev.* 36, 823–841). Each score is standard normal, and two scores have the correlation
+exp(−|x_i − x_j|/T), where T is the correlation time. With ρ_t = exp(−(x_t − x_(t−1))/T),
 
     z_1 ~ N(0, 1),    z_t | z_(t−1) ~ N(ρ_t z_(t−1), 1 − ρ_t²).
 
@@ -44,8 +44,8 @@ def times_of(by: str, tests: Sequence[Test]) -> FloatArray:
 def default_prior(times: FloatArray) -> LogNormal:
     """Return the default log-normal prior of the correlation time T for tests at ascending `times`.
 
-    It has 5 % of its probability below a third of the median time between tests, where scores are nearly
-    independent. It has 5 % above the time from the first test to the last, beyond which a slow change looks like a
+    5 % of its probability lies below a third of the median time between tests, where scores are nearly
+    independent. Another 5 % lies above the time from the first test to the last, where a slow change looks like a
     change of the mean.
     """
     low, high = np.median(np.diff(times)) / _SHORT, times[-1] - times[0]
@@ -86,11 +86,11 @@ class InTime:
     column : int or None
         Index of T in theta; None if T is known.
     by : str
-        The covariate that serves as time; empty if test numbers do.
+        The covariate that serves as time; empty if test numbers serve as time.
     order : ndarray of int, shape (m,)
-        The tests with a score, in ascending order of time.
+        Indices of the tests with a score, in ascending order of time.
     times : ndarray, shape (m,)
-        Their times.
+        The times of these tests.
     """
 
     correlation_time: float | None
@@ -103,7 +103,7 @@ class InTime:
     def of_tests(
         cls, how: float | str | Prior, by: str, p: Parameter, of: int, theta: Theta, here: Sequence[int]
     ) -> InTime:
-        """Add T to theta if it is inferred; return the population's scores as a process in time.
+        """Return the population's scores as a process in time, after adding T to theta if it is inferred.
 
         The arguments are as in `Population`.
         """
@@ -118,9 +118,9 @@ class InTime:
         return cls(float(how), None, by, np.array(here)[order], times)
 
     def correlation_times(self, theta: FloatArray) -> FloatArray:
-        """Return the correlation time T, shape (n, 1), at theta (n, n_parameters), but at least a small value.
+        """Return the correlation time T, shape (n, 1), at theta (n, n_parameters).
 
-        At this smallest value, scores are independent.
+        T is at least a small value at which scores are already independent.
         """
         column = self.column
         found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
@@ -131,7 +131,8 @@ class InTime:
     ) -> tuple[FloatArray, FloatArray]:
         """Take one random-walk step in log T; return the new theta and the log-ratio of the priors, shape (n,).
 
-        The ratio includes the Jacobian of log T. Step sizes are random, because T may be known well or badly.
+        The ratio includes the Jacobian of log T. The step sizes are random, so that they suit both a precisely and
+        a poorly known T.
         """
         column, n = self.column, len(theta)
         if column is None:
@@ -145,16 +146,16 @@ class InTime:
         return found, np.where(inside, new - now + step, -np.inf)
 
     def correlations(self, theta: FloatArray, gaps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the correlation ρ of score pairs separated by the times `gaps` (k,), and 1 − ρ², (n, k) each."""
+        """Return the correlation ρ of scores separated by the times `gaps` (k,), and 1 − ρ², (n, k) each."""
         exponent = -gaps / self.correlation_times(theta)
         return np.exp(exponent), -np.expm1(2.0 * exponent)
 
     def between(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the correlation ρ of each score with the one before it, and 1 − ρ², shape (n, m − 1) each."""
+        """Return the correlation ρ of each score with the previous score, and 1 − ρ², both of shape (n, m − 1)."""
         return self.correlations(theta, np.diff(self.times))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return each score's log-density given the one before it, relative to a standard normal, and derivatives.
+        """Return each score's log-density given the previous one, relative to a standard normal, with derivatives.
 
         Returns
         -------
@@ -200,10 +201,10 @@ class InTime:
     def next_scores(
         self, theta: FloatArray, z: FloatArray, e: FloatArray, covariates: Mapping[str, float]
     ) -> FloatArray:
-        """Return a further test's score (n,), from its innovation e (n,) and the scores z (n, m) of the others.
+        """Return a further test's score (n,), given its innovation e (n,) and the other tests' scores z (n, m).
 
-        Its time is taken from `covariates`; by default it follows the last test after the median time between
-        tests. A further test between two others depends on both their scores.
+        `covariates` gives its time; by default it follows the last test after the median time between tests. If it
+        lies between two tests, its score depends on the scores of both.
         """
         time = covariates.get(self.by, float(self.times[-1] + np.median(np.diff(self.times))))
         k = int(np.searchsorted(self.times, time))
@@ -328,7 +329,7 @@ class ScoresInTime:
     def next_scores(
         self, theta: FloatArray, z: FloatArray, e: FloatArray, covariates: Mapping[str, float]
     ) -> FloatArray:
-        """Return a further test's scores (n, p) from innovations e (n, p) and the other tests' scores z.
+        """Return a further test's scores (n, p), given its innovations e (n, p) and the other tests' scores z.
 
         `covariates` are as in `InTime.next_scores`.
         """

@@ -85,7 +85,7 @@ class Factor(NamedTuple):
     values : ndarray, shape (n, n_tests) or (1, n_tests)
         The factor in each test.
     slopes : list of Slope
-        Its derivatives with respect to parameters of theta.
+        Derivatives of the factor with respect to parameters of theta.
     """
 
     values: FloatArray
@@ -93,7 +93,7 @@ class Factor(NamedTuple):
 
 
 class SuddenLoss(NamedTuple):
-    """A sudden loss from an unknown date on.
+    """A sudden loss at an unknown date.
 
     Attributes
     ----------
@@ -113,12 +113,12 @@ class InTests:
 
     @property
     def base(self) -> InTests:
-        """The parameter without its trends and losses; the parameter itself if it has none."""
+        """The parameter without its trends and losses, or the parameter itself if it has none."""
         return self
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """The parameter's sudden loss from an unknown date on; None if it has none."""
+        """The parameter's sudden loss at an unknown date, or None if it has none."""
         return None
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
@@ -134,33 +134,33 @@ class InTests:
         raise NotImplementedError
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the parameter's values (n,) in a further test that resembles test `like`, at each theta."""
+        """Return the parameter's values (n,) at each theta in a further test that resembles test number `like`."""
         return self(theta)[0][:, like]
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) since the reference test, without trends and scatter."""
+        """Return the relative losses (n, n_tests) compared with the reference test, without trends and scatter."""
         value = self(theta)[0]
         return np.asarray(1.0 - value / value[:, [reference]])
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> InTests:
-        """Return a copy whose scores use another centring and reference, or itself if it has no scores.
+        """Return a copy whose scores use another centring and reference, or `self` if it has no scores.
 
         `references` is keyed by the centre's index in theta; see `Drawn` for its values.
         """
         return self
 
     def after(self, n: int) -> InTests:
-        """Return a copy that reads its scores from theta columns shifted by `n`, or itself if it has no scores."""
+        """Return a copy that reads its scores from theta columns shifted by `n`, or `self` if it has no scores."""
         return self
 
     def factors(self, theta: FloatArray) -> list[Factor]:
-        """Return the factors that multiply the values of `base` at theta (n, n_parameters); empty for the base."""
+        """Return the factors that multiply the values of `base` at theta (n, n_parameters); empty if none do."""
         return []
 
 
 @dataclass(frozen=True)
 class Multiplied(InTests):
-    """A structural parameter whose values are another `InTests` times a factor in each test.
+    """A structural parameter whose values are another `InTests` multiplied by a factor in each test.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class Multiplied(InTests):
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """The parameter's sudden loss from an unknown date on; None if it has none."""
+        """The parameter's sudden loss at an unknown date, or None if it has none."""
         return self.of.sudden_loss
 
     def after(self, n: int) -> Self:
@@ -215,7 +215,7 @@ class Future(NamedTuple):
     scores : mapping of int to ndarray, shape (n,)
         Standard normal scores in each population, keyed by the index of the population's centre in theta.
     covariates : mapping of str to float
-        Values of the covariates. Covariates without an entry have their means over the tests.
+        Values of the covariates. A covariate without an entry is set to its mean over the tests.
     """
 
     rng: np.random.Generator
@@ -249,7 +249,7 @@ class Theta:
         self._covariates: dict[str, Covariate] = {}
 
     def covariate(self, name: str) -> Covariate:
-        """Return a covariate of the tests, after adding its unknown values to theta once."""
+        """Return a covariate of the tests. The first call adds the covariate's unknown values to theta."""
         if name not in self._covariates:
             self._covariates[name] = Covariate.of_tests(
                 name, self.tests, lambda parameter, test: self.add(parameter, "covariate", None, test)
@@ -268,7 +268,7 @@ class Theta:
         Raises
         ------
         ValueError
-            If theta already has a different parameter with this name.
+            If theta already has a parameter with this name that differs in its prior or role.
         """
         same = [k for k, other in enumerate(self.main) if other.name == parameter.name]
         if not same:
@@ -286,7 +286,7 @@ class Theta:
 
 
 class Varies:
-    """How a structural parameter varies between tests; subclasses are the kinds of variation.
+    """How a structural parameter varies between tests. Each subclass is one kind of variation.
 
     Attributes
     ----------
@@ -301,7 +301,7 @@ class Varies:
 
     @property
     def by_date(self) -> str | None:
-        """Time covariate of an undated loss; empty if test numbers serve as time, None if no loss is undated."""
+        """Time covariate of an undated loss: empty if test numbers serve as time, None without such a loss."""
         return None
 
     @property
@@ -311,7 +311,7 @@ class Varies:
 
     @property
     def population(self) -> Varies | None:
-        """Population of the values, which may be correlated with other populations; None if there is none."""
+        """Population from which the values are drawn, or None if there is none."""
         return None
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
@@ -328,7 +328,7 @@ class Varies:
         return found
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
-        """Add the parameters of theta that a structural parameter needs; return its values in the tests.
+        """Add the parameters that a structural parameter needs to theta; return its values in the tests.
 
         Parameters
         ----------

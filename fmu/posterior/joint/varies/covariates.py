@@ -25,7 +25,8 @@ class Covariate:
     values : ndarray, shape (n_tests,)
         The known value in each test, or the median of its prior if the value is a parameter of theta.
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index of the value in theta. If the value is known, the index of any inferred value.
+        For each test, the index of the value in theta. For a test with a known value the index is arbitrary but
+        valid.
     is_inferred : ndarray of bool, shape (n_tests,)
         Whether the value is a parameter of theta.
     mean : float

@@ -1,4 +1,4 @@
-"""Relative losses of a parameter, such as a stiffness, between a reference state and later states."""
+"""A parameter, such as a stiffness, with relative losses between a reference state and later states."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Damage(Varies):
     """A parameter that is reduced by a relative loss d in every group but the reference: θ = θ_reference (1 − d).
 
     The reference is the group of the first test, unless the problem names another group. A negative loss is a
-    gain. Negative losses are allowed because noise produces them where there is no damage; without them the losses
-    would be biased upwards.
+    gain. Negative losses are allowed because noise produces them if there is no damage; if they were excluded, the
+    losses would be biased upwards.
 
     If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d), where F is the
     distribution of the undamaged values (`Population`).
@@ -79,7 +79,7 @@ class Damage(Varies):
 
 
 def loss_parameter(name: str, prior: Prior | None) -> Parameter:
-    """Return a parameter of theta that is a relative loss; see `Damage` for the default prior."""
+    """Return a relative loss as a parameter of theta; see `Damage` for the default prior."""
     prior = Normal(_SD) if prior is None else prior
     start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
     return Parameter(name, start, _LOWEST, _HIGHEST, prior)
@@ -96,7 +96,7 @@ def undamaged_in_tests(
 ) -> InTests:
     """Add the undamaged value, or its population, to theta; return the undamaged values in the tests.
 
-    If all tests have the same value, `kind` and `where` are its role in theta.
+    `kind` and `where` are the undamaged value's role in theta if all tests have the same value.
     """
     if scatter is not None:
         return scatter.in_tests(p, of, theta, here)
@@ -112,7 +112,7 @@ class Lost(Multiplied):
     of : InTests
         θ₀, the undamaged value in each test.
     columns : ndarray of int, shape (n_tests,)
-        Index in theta of the loss d in each test; for a test in the reference, the index of any loss.
+        Index in theta of the loss d in each test. For a test in the reference the index is arbitrary but valid.
     is_lost : ndarray of bool, shape (n_tests,)
         Whether the test has a loss; False in the reference.
     """
@@ -127,7 +127,7 @@ class Lost(Multiplied):
         return Factor(1.0 - loss, [Slope(self.columns, by_loss)])
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) since a test in the reference."""
+        """Return the relative losses (n, n_tests) compared with a test in the reference group."""
         return np.where(self.is_lost, theta[:, self.columns], 0.0)
 
     def identity(self, test: int) -> Hashable:

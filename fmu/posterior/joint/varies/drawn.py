@@ -106,7 +106,7 @@ class Drawn(InTests):
         return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
-        """Add the negative second derivatives between scores adjacent in time to `curvature` in place, scaled."""
+        """Add the negative second derivatives between adjacent scores in time, scaled, to `curvature` in place."""
         if self.in_time is None:
             return
         slopes, order = np.sqrt(self.curvature(theta)), self.in_time.order
@@ -193,7 +193,7 @@ class Drawn(InTests):
         return np.asarray(off * blend / centre if self.family.of_logarithm else np.broadcast_to(off, blend.shape))
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return the values (n, n_tests), the population, the scores' distribution F, and value derivatives."""
+        """Return the values (n, n_tests), the population, the distribution F, and the values' derivatives."""
         found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
         return found
 

@@ -1,4 +1,4 @@
-"""Laws by which a parameter depends on a covariate x: polynomials, and straight lines with kinks.
+"""Laws by which a parameter depends on a covariate x: polynomials and piecewise linear functions.
 
 A law gives the relative effect g(x) on the parameter. It is zero at x₀, the covariate's mean over the tests.
 """
@@ -91,7 +91,7 @@ class Polynomial(Law):
     ----------
     priors : sequence of Prior
         Priors of the coefficients b₁, b₂, …; their number is the degree of the polynomial. The unit of b_p is the
-        unit of 1/x^p. A single prior gives a straight line, as does a prior in place of a law.
+        unit of 1/x^p. A single prior gives a straight line, exactly as if that prior were given instead of a law.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class PolynomialEffect(Effect):
 @check_arguments
 @dataclass(frozen=True)
 class PiecewiseLinear(Law):
-    """A law of straight pieces that meet in kinks, such as a stiffness that rises faster below the freezing point.
+    """A piecewise linear law, such as a stiffness that changes faster with temperature below the freezing point.
 
     g(x) = Σ b_i (clip(x, c_i, c_{i+1}) − clip(x₀, c_i, c_{i+1})), where piece i with the slope b_i lies between
     the kinks c_i and c_{i+1} (Peeters & De Roeck 2001, *Earthq. Eng. Struct. Dyn.* 30, 149–171, find two such
@@ -151,9 +151,9 @@ class PiecewiseLinear(Law):
     prior : Prior
         Prior of each piece's relative slope.
     kinks : sequence of float or Prior
-        The covariate values at the kinks, in ascending order. A prior in place of the sequence means one kink
-        whose position is inferred, between the smallest and the largest covariate value in the tests. The
-        log-density is then continuous, but has kinks where this position passes a test's covariate value.
+        The covariate values at the kinks, in ascending order. If a prior is given instead, there is one kink, and
+        its position is inferred between the smallest and the largest covariate value in the tests. The log-density
+        is then continuous, but has kinks where this position passes a test's covariate value.
 
     Raises
     ------
@@ -181,7 +181,7 @@ class PiecewiseLinear(Law):
         return () if isinstance(self.kinks, Prior) else tuple(map(float, self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return error messages about kinks outside the range of the tests."""
+        """Return error messages about kinks outside the range of the covariate in the tests."""
         rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
         if self._prior_of_kink is not None:
             without = not np.isfinite(self._prior_of_kink.log_mass(low, high))
@@ -211,7 +211,7 @@ class PiecewiseLinear(Law):
 
 @dataclass(frozen=True)
 class PiecewiseEffect(Effect):
-    """Effect of straight pieces; `columns` are their slopes, followed by the kink if `kinks` is None."""
+    """Piecewise linear effect. `columns` are the slopes of the pieces, followed by the kink if `kinks` is None."""
 
     columns: tuple[int, ...]
     kinks: tuple[float, ...] | None
@@ -236,12 +236,12 @@ class PiecewiseEffect(Effect):
 
 
 def slope(name: str, prior: Prior) -> Parameter:
-    """Return a relative slope as a parameter of theta that starts at zero, clipped to the prior's support."""
+    """Return a relative slope as a parameter of theta. It starts at zero, clipped to the prior's support."""
     return Parameter(name, float(np.clip(0.0, *prior.support)), prior=prior)
 
 
 def law_of(how: Prior | Law | str) -> Law | None:
-    """Return the law itself, a straight line whose slope has the given prior, or None for a name."""
+    """Return the law itself, a straight line if `how` is a prior for its slope, or None if `how` is a name."""
     if isinstance(how, str):
         return None
     return Polynomial([how]) if isinstance(how, Prior) else how

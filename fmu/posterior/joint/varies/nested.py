@@ -1,4 +1,4 @@
-"""Scatter between groups of tests in addition to the scatter within them, such as day within season."""
+"""A parameter that scatters between groups of tests as well as within them, such as day within season."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ class Nested(Multiplied):
         theta: Theta,
         here: Sequence[int],
     ) -> Nested:
-        """Add s, with the prior `between`, and the group effects to theta; return the values in the tests.
+        """Return the values in the tests, after adding s (with the prior `between`) and group effects to theta.
 
-        `number` and `name` are the structural parameter's index and name. Its value is unknown in the tests
-        `here`, and `of` gives its values without effects.
+        `number` and `name` are the structural parameter's index and name. `of` gives its values without group
+        effects, and `here` lists the tests in which its value is unknown.
         """
         median, least = between.median_within(*between.support), max(0.0, between.support[0])
         s = Parameter(f"{name} sd between groups", median, least, prior=between)
@@ -84,7 +84,7 @@ class Nested(Multiplied):
         return 1.0 + effect, np.ones_like(effect)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return relative losses of zero, (n, n_tests), because group effects are scatter."""
+        """Return zeros, (n, n_tests): a group effect is scatter, not a loss."""
         return np.zeros((len(theta), len(self.columns)))
 
     def identity(self, test: int) -> Hashable:
@@ -117,7 +117,7 @@ def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
 
 
 def find_mistakes_of_sds(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return error messages if the tests do not allow `name` to have a separate sd in each group."""
+    """Return error messages if the tests do not allow a separate sd of the parameter `name` in each group."""
     rule = f"must be given, as the sd of {name} differs between groups (got none)"
     found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
     sizes = Counter(test.group for test in tests if name not in test.known and test.group)

@@ -48,9 +48,9 @@ class Population(Varies):
         median. By default all tests have the same standard deviation.
     correlation_time : float, Prior or "inferred", optional
         Correlation time T of the values: the scores of two tests a time Δt apart have the correlation exp(−Δt/T)
-        (`fmu.posterior.joint.varies.autocorrelation`). With a prior it is inferred. The prior of ``"inferred"`` is
-        log-normal, with 5 % below a third of the median time between tests, and 5 % above the time from the first
-        test to the last. By default tests are independent.
+        (`fmu.posterior.joint.varies.autocorrelation`). If a prior is given, T is inferred. ``"inferred"`` stands
+        for a log-normal prior with 5 % of its probability below a third of the median time between tests, and 5 %
+        above the time from the first test to the last. By default tests are independent.
     by : str
         Covariate that gives the time of each test, such as ``"day"``; it differs in every test. By default the
         tests were made at times 1, 2, … in their order.
@@ -128,7 +128,7 @@ class Population(Varies):
         return Drawn(family, centre, widths, columns, scored, np.zeros(n), start, in_time)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
-        """Return the distribution's two inferred parameters, centre and width.
+        """Return the population's two inferred parameters: its centre and its width.
 
         Raises
         ------

@@ -25,8 +25,8 @@ class Taken(InTests):
     columns : ndarray of int, shape (n_tests,)
         For each test, the index of the value in theta.
     own : Parameter or None
-        The parameter if each test has its own value, otherwise None. The value in a further test is drawn from its
-        prior.
+        The parameter from whose prior the value in a further test is drawn, if each test has its own value. None
+        if tests share values.
     """
 
     columns: IntArray
@@ -45,7 +45,7 @@ class Taken(InTests):
         return lower[self.columns], upper[self.columns]
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the parameter's values (n,) in a further test, drawn from the prior if each test has its own."""
+        """Return the parameter's values (n,) in a further test. If each test has its own, they are prior draws."""
         if self.own is None:
             return super().next_test(theta, like, future)
         return self.own.prior.draw(future.rng, len(theta), self.own.lower, self.own.upper)

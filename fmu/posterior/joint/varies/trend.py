@@ -59,7 +59,7 @@ class Trend(Multiplied):
         return Factor(factor, found)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) since the test `reference`, without trends and scatter."""
+        """Return the relative losses (n, n_tests) compared with test `reference`, without trends and scatter."""
         return self.of.losses(theta, reference)
 
     def identity(self, test: int) -> Hashable:
@@ -117,7 +117,7 @@ class Trends:
         self._effects: dict[tuple[str, str], OnCovariate] = {}
 
     def add_to(self, of: InTests, name: str) -> InTests:
-        """Add any trends of the structural parameter `name` to its values `of`; return `of` if it has none."""
+        """Return the parameter's values `of` with the trends of the parameter `name`, or `of` if it has none."""
         by = self._slopes.get(name, {})
         effects = tuple(
             self._effect(name if (name, key) in self._laws else str(how), key) for key, how in by.items()

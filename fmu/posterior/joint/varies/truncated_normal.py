@@ -1,4 +1,4 @@
-"""Values, scores and log-density of normal and log-normal distributions truncated to bounds, with derivatives."""
+"""Normal and log-normal distributions truncated to bounds: values, scores and log-density, with derivatives."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def truncated_normal_values(
 def _find_near(
     z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> BoolArray | None:
-    """Return a mask of the values z that the bounds influence, or None if there is no such value."""
+    """Return a mask of the values that the bounds influence, or None if there are no such values."""
     if np.isneginf(lower) and np.isposinf(upper):
         return None
     near = ~are_bounds_distant(z, mean, sd, lower, upper)
@@ -116,10 +116,7 @@ def truncated_normal_log_pdf(
 
 
 def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> Slopes:
-    """Return the log-probability of the interval between the bounds, and minus its derivatives.
-
-    The derivatives are with respect to mean and sd.
-    """
+    """Return the log-probability between the bounds, and minus its derivatives with respect to mean and sd."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         log_mass = _log_mass(alpha, beta)
@@ -217,7 +214,7 @@ class TruncatedFamily:
         return p - q, by_p, by_q
 
     def log_pdf(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the log-density of the value (of its logarithm for a log-normal population), with derivatives."""
+        """Return the log-density of the value (log-normal: of its logarithm), and its derivatives."""
         if not self.of_logarithm:
             return truncated_normal_log_pdf(value, centre, sd, self.lower, self.upper)
         p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *self._ends)

@@ -1,4 +1,4 @@
-"""A parameter's loss from an unknown date on, either sudden or growing."""
+"""A parameter with a loss that begins at an unknown date and is either sudden or growing."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ class UndatedDamage(Varies):
     """A parameter that loses a share d from an unknown date τ on: θ_t = θ₀ (1 − d r_t(τ)).
 
     Sudden damage: r_t(τ) = clip((x_t − τ) / w_t, 0, 1), where x_t is the time of the test. Tests before τ have no
-    loss, and tests after τ the whole loss. Between two tests the data cannot date the damage, so the posterior of
-    τ is nearly flat there. A sharp step would make the log-density jump at x_t, which gradient-based samplers
-    cannot follow. So w_t is a fifth of the time since the previous test: if τ is in the last fifth before x_t,
-    test t has part of the loss. The log-density is then continuous, with a derivative almost everywhere. If chance
-    makes the last undamaged test look slightly damaged, τ may lie in that last fifth.
+    loss, and tests after τ have the whole loss. Between two tests the data cannot date the damage, so the
+    posterior of τ is nearly flat there. A sharp step would make the log-density jump at x_t, which gradient-based
+    samplers cannot follow. So w_t is a fifth of the time since the previous test: if τ is in the last fifth before
+    x_t, test t has part of the loss. The log-density is then continuous, with a derivative almost everywhere. If
+    chance makes the last undamaged test look slightly damaged, τ may lie in that last fifth.
 
     Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
     linearly from τ on, and d is the loss in the last test.
 
     The date is uniform a priori between the first test and the last, or the last but one for growing damage. A
-    loss near zero means no damage; the date then has its prior distribution. Change points with a uniform prior:
-    Carlin, Gelfand & Smith 1992, *J. R. Stat. Soc. C* 41, 389–405.
+    loss near zero means no damage; the date then has its prior distribution. Change points with a uniform prior
+    are treated in Carlin, Gelfand & Smith 1992, *J. R. Stat. Soc. C* 41, 389–405.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class UndatedDamage(Varies):
     date : Prior, optional
         Prior of the date, in the time unit.
     event : str
-        Name of the event. Parameters with the same event have the same date, named ``"day of damage"`` after the
-        time and the event, or ``"test of damage"`` if test numbers serve as time.
+        Name of the event. Parameters with the same event have the same date. The date is named
+        ``"day of damage"`` after the time and the event, or ``"test of damage"`` if test numbers serve as time.
     scatter : Population, optional
         Population of the undamaged values in the tests. By default all tests have the same undamaged value.
 
@@ -78,7 +78,7 @@ class UndatedDamage(Varies):
 
     @property
     def by_date(self) -> str:
-        """Name of the covariate that serves as time; empty if test numbers do."""
+        """Name of the covariate that serves as time; empty if test numbers serve as time."""
         return self.by
 
     @property
@@ -87,7 +87,7 @@ class UndatedDamage(Varies):
         return self.scatter
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return error messages if the tests do not allow a loss at an unknown date in the parameter `name`."""
+        """Return error messages if the tests do not allow an undated loss in the parameter `name`."""
         found = [] if self.scatter is None else self.scatter.find_mistakes(name, tests)
         if self.by:
             rule = f"must have {self.by} as a number, which is the time of the damage of {name}"
@@ -155,7 +155,7 @@ class LostFrom(Multiplied):
     grows : bool
         Whether the loss grows from the date on.
     by : str
-        Name of the covariate that serves as time; empty if test numbers do.
+        Name of the covariate that serves as time; empty if test numbers serve as time.
     """
 
     column: int
@@ -172,7 +172,7 @@ class LostFrom(Multiplied):
         return Factor(1.0 - loss * share, slopes)
 
     def _share(self, theta: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the loss shares r at some times, (n, n_times), and their derivatives with respect to the date."""
+        """Return the loss shares r at `times`, (n, n_times), and their derivatives with respect to the date."""
         since = times - theta[:, [self.date]]
         if self.grows:
             whole = self.times.max() - theta[:, [self.date]]
@@ -185,7 +185,7 @@ class LostFrom(Multiplied):
 
     @property
     def sudden_loss(self) -> SuddenLoss | None:
-        """Sudden loss, with the theta indices of its date and its size; None if the loss grows."""
+        """The sudden loss, with the indices in theta of its date and its size, or None if the loss grows."""
         return None if self.grows else SuddenLoss(self.date, self.column, self.times)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
@@ -207,7 +207,7 @@ class LostFrom(Multiplied):
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the parameter's values (n,) in a further test at its time, by default the last test's time."""
+        """Return the parameter's values (n,) in a further test, which by default has the last test's time."""
         time = np.array([future.covariates.get(self.by, float(self.times.max()))])
         kept = 1.0 - theta[:, self.column] * self._share(theta, time)[0][:, 0]
         return self.of.next_test(theta, like, future) * kept
