@@ -1,4 +1,4 @@
-"""Checks that the arguments of public functions and classes match their annotations.
+"""Check that the arguments of public functions and classes match their annotations.
 
 `check_arguments` wraps a public function or the constructor of a public class. The annotations are the rules:
 ``float`` requires a finite number, ``Positive`` a positive number, ``Literal`` one of the listed words, and
@@ -76,7 +76,7 @@ class ArgumentError(ValueError):
 
     @classmethod
     def of(cls, error: Exception) -> ArgumentError:
-        """Return `error` as an ArgumentError; any other exception's message becomes a rule with an empty key."""
+        """Return `error` as an ArgumentError. Any other exception's message becomes a rule with an empty key."""
         return error if isinstance(error, ArgumentError) else ArgumentError("", str(error))
 
     def at(self, key: str) -> Self:
@@ -88,7 +88,7 @@ class ArgumentError(ValueError):
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
-        """Return the error with `old` replaced by `new` in its key, if its key is `old` or begins with `old`."""
+        """Return the error with `old` replaced by `new` at the start of its key; other keys are unchanged."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
 
@@ -100,7 +100,7 @@ class MissingFileError(ArgumentError, FileNotFoundError):
 
 
 class _ByName(type):
-    """Stands in for a class imported only for type checking; it recognises instances by class name."""
+    """Stands in for a class imported only for type checking. It recognises instances by their class name."""
 
     def __instancecheck__(cls, instance: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(instance).__mro__)
@@ -155,7 +155,7 @@ class OldNameWarning(FutureWarning):
 
 
 def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> dict[str, Any]:
-    """Replace old names in arguments, or in a table from a file, by present ones; warn about each old name."""
+    """Return arguments, or a table from a file, with old names replaced by present names; warn of each old one."""
     old = [name for name in present if name in given and present[name] not in given]
     for name in old:
         text = f"{name} is now called {present[name]}: the old name still works; please replace it"
@@ -191,7 +191,7 @@ def _require(name: str, value: object, rule: Rule) -> None:
 
 
 def as_list[One](given: One | Sequence[One]) -> list[One]:
-    """Return a list of values, given one value or several; a string is one value."""
+    """Return one value, or a sequence of values, as a list. A string counts as one value."""
     if isinstance(given, Sequence) and not isinstance(given, str):
         return list(given)
     return [given]
@@ -208,7 +208,7 @@ def shown(value: object) -> str:
 
 @cache
 def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
-    """Return a function's signature, and the rule of each annotated argument by name."""
+    """Return a function's signature, and the rules of its annotated arguments, keyed by name."""
     signature = inspect.signature(door)
     arrays = dict.fromkeys(("ArrayLike", "FloatArray", "IntArray"), Numbers)
     names = _Names({"os": os} | door.__globals__ | arrays)
@@ -231,10 +231,10 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 
 
 def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
-    """Return True if a value follows a rule, the error of an entry, or False if the value itself breaks the rule.
+    """Return True if a value follows a rule, the error of an entry, or False if the value as a whole breaks it.
 
-    The error message is written elsewhere, because it takes long for an array, and is not needed if the value
-    breaks one option of a union but follows another.
+    No message is made for a whole value: it takes long for an array, and is not needed if the value breaks one
+    option of a union but follows another.
     """
     if rule.pick(OwnRule):
         return True
@@ -248,7 +248,7 @@ def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
 
 
 def _with_text_as_path(rule: Rule) -> Rule:
-    """Return the rule, but remove ``str`` from a union with a path, so that text is checked as a path."""
+    """Return the rule without ``str`` in a union with a path, so that text is checked as a path."""
     if not any(one.origin in PATHS for one in rule.options) or rule.pick(OwnRule):
         return rule
     kinds = tuple(one for one in get_args(rule.form) if one is not str)
@@ -256,7 +256,7 @@ def _with_text_as_path(rule: Rule) -> Rule:
 
 
 def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]:
-    """Yield an error or None for each entry of a sequence or mapping."""
+    """Yield the error of each entry of a sequence or mapping, or None for an entry that follows its rule."""
     origin, of = get_origin(rule.form), rule.parts
     if origin is tuple and of and of[-1].form is not Ellipsis:
         if len(value) != len(of):
@@ -276,7 +276,7 @@ def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]
 
 
 def _advice(value: object, rule: Rule) -> str:
-    """Return the advice about a value, after a semicolon; empty if there is none."""
+    """Return the advice for a value, preceded by a semicolon, or an empty string if there is none."""
     said = rule.pick(str)
     if isinstance(value, str | os.PathLike):
         names = [name_of(one.form) for one in rule.options or [rule]]

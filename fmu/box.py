@@ -1,4 +1,4 @@
-"""Checks whether points are inside a box, such as the parameter bounds."""
+"""Check whether points are inside a box, such as the parameter bounds."""
 
 from __future__ import annotations
 

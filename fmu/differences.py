@@ -1,4 +1,4 @@
-"""Points for finite differences: central differences within bounds, one-sided differences at the bounds."""
+"""Points for finite differences, which are central within the bounds and one-sided at the bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Atomic writing of files, and checksums that detect later damage."""
+"""Write files atomically, and detect later damage by checksums."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ def write_durably(path: Path, content: bytes | memoryview) -> None:
 
 
 def append_durably(path: Path, content: bytes) -> None:
-    """Append to a file, creating it if necessary; if the process is killed, only `content` may be truncated."""
+    """Append to a file, which is created if it does not exist.
+
+    If the process is killed, only `content` may be truncated; the earlier content is safe.
+    """
     with open(path, "ab") as file:
         file.write(content)
         file.flush()
@@ -45,7 +48,7 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 def make_directory(path: Path) -> None:
-    """Create a directory unless it exists, so that it survives a power failure."""
+    """Create a directory unless it exists, and make sure that it survives a power failure."""
     if not path.is_dir():
         path.mkdir()
         sync_directory(path.parent)

@@ -1,4 +1,4 @@
-"""Interruption by Ctrl-C (SIGINT) or by a batch system (SIGTERM), after which work stops within seconds."""
+"""Stop work within seconds after Ctrl-C (SIGINT), or after a batch system's SIGTERM."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Stop:
         self.before: dict[int, _Handler | int | None] = {}
 
     def listen(self, number: int) -> None:
-        """Install the handler for a signal, and remember the previous handler."""
+        """Install the handler for a signal, and store the previous handler."""
         self.before.setdefault(number, signal.signal(number, self.hear))
 
     def wait_no_longer(self) -> None:
@@ -75,10 +75,10 @@ _current: _Stop | None = None
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Make SIGINT and SIGTERM raise KeyboardInterrupt at once, except in `interruptible` and `shielded` blocks.
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt at once within a block.
 
-    Only the main thread handles signals, so this has no effect in another thread, nor within another of these
-    blocks.
+    Inside `interruptible` and `shielded` blocks, the exception is delayed as they describe. Only the main thread
+    handles signals, so this has no effect in another thread, nor within another of these blocks.
     """
     with _listening():
         yield
@@ -106,7 +106,7 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 
 def is_asked() -> bool:
-    """Return True if a signal has been received in the current `stoppable` or `interruptible` block."""
+    """Return True if a stop was requested by a signal in the current `stoppable` or `interruptible` block."""
     return _current is not None and _current.asked
 
 
@@ -127,7 +127,7 @@ def shielded() -> Iterator[None]:
 
 @contextmanager
 def _listening() -> Iterator[_Stop | None]:
-    """Install the handlers if necessary, and yield them; yield None outside the main thread."""
+    """Install the handlers unless they are already installed, and yield them; yield None in other threads."""
     global _current
     if threading.current_thread() is not threading.main_thread():
         yield None

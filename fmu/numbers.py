@@ -1,4 +1,4 @@
-"""Formatting of numbers for readers, with as many digits as the uncertainty justifies.
+"""Format numbers for readers, with as many digits as the uncertainty justifies.
 
 Values that differ are shown with enough digits to look different. This module formats every number in a message,
 table, page or label; data files keep all digits.
@@ -30,13 +30,13 @@ _SHOWN = {
 
 
 class Unit(NamedTuple):
-    """A display unit; a number in SI units divided by `factor` is in the unit `name`."""
+    """A unit for display. A value in SI units is divided by `factor` to give the number in the unit `name`."""
 
     factor: float
     name: str
 
     def label(self, quantity: str) -> str:
-        """Return an axis label, such as ``"E1 / GPa"``, or only the quantity if it has no unit."""
+        """Return an axis label, such as ``"E1 / GPa"``, or the quantity alone if the unit has no name."""
         return f"{quantity} / {self.name}" if self.name else quantity
 
 
@@ -65,7 +65,7 @@ def fixed(value: float | None, places: int) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Format a number of unknown uncertainty to at most `digits` significant digits; None and NaN give a dash."""
+    """Format a number of unknown uncertainty with up to `digits` significant digits; None and NaN give a dash."""
     if value is None or not math.isfinite(value):
         return MISSING if value is None else _infinite(value)
     text = f"{value:.{digits}g}"
@@ -165,7 +165,10 @@ def interval(lower: float, upper: float, places: int) -> str:
 
 
 def given(value: float) -> str:
-    """Format a value with the digits with which it was entered, ``"0.912"``; a computed value gets six digits."""
+    """Format a value with the digits with which it was entered, such as ``"0.912"``.
+
+    A value with more digits, which must have been computed, gets six.
+    """
     if not math.isfinite(value):
         return _infinite(value)
     digits = _digits(value)
@@ -179,15 +182,15 @@ def typed(value: float) -> str:
 
 
 def _digits(value: float) -> int:
-    """Return the number of significant digits that identifies a float uniquely."""
+    """Return the number of significant digits that identify a float uniquely."""
     return max(len(repr(float(value)).partition("e")[0].strip("-").replace(".", "").strip("0")), 1)
 
 
 def share(part: float, digits: int = 2) -> str:
     """Format a fraction as a percentage: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    The percentage has `digits` significant digits, or more if needed to show `digits` - 1 significant digits of
-    its complement, but never a power of ten.
+    The percentage has `digits` significant digits, or more if its complement would otherwise have fewer than
+    `digits` - 1. It is never written as a power of ten.
     """
     if not math.isfinite(part):
         return MISSING
@@ -216,7 +219,7 @@ def change(ratio: float) -> str:
 
 
 def whole(value: SupportsInt | None) -> str:
-    """Format a whole number with separated thousands; None, NaN and pandas' NA give a dash."""
+    """Format a whole number with thousands separators; None, NaN and pandas' NA give a dash."""
     if value is None or str(value) in ("nan", "<NA>"):
         return MISSING
     return f"{int(value):,}".replace(",", " ")
@@ -239,12 +242,12 @@ def names_in_words(names: Sequence[str]) -> str:
 
 
 def _exponent(value: float) -> int:
-    """Return the exponent of the first significant digit, as a power of ten; 0 for zero."""
+    """Return the power of ten of a number's first significant digit, or 0 for zero."""
     return int(f"{value:e}".partition("e")[2]) if value else 0
 
 
 def _last_place(value: float, digits: int) -> int:
-    """Return the exponent of the last digit that is shown when a value is rounded to `digits` digits."""
+    """Return the power of ten of the last digit shown when a value is rounded to `digits` significant digits."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2]) - digits + 1 if value else 0
 
 
@@ -253,7 +256,7 @@ def _is_plain(scale: float) -> bool:
 
 
 def _at(value: float, place: int, is_plain: bool) -> str:
-    """Format a number to the decimal place 10^`place`, in decimal notation or with a power of ten."""
+    """Format a number to the decimal place 10^`place`, either in decimal notation or with a power of ten."""
     if is_plain:
         return _drop_sign_of_zero(f"{value:.{max(0, -place)}f}")
     digits = _exponent(value) - place

@@ -1,4 +1,4 @@
-"""Functions that recognise tables, lists and numbers among plain Python values, as read from TOML or JSON.
+"""Recognise tables, lists and numbers among plain Python values, as read from TOML or JSON.
 
 This module imports nothing slow, not even NumPy, because the commands need it before they need numbers.
 """

@@ -1,4 +1,4 @@
-"""Rules derived from type annotations: checks of values against a rule, and the text of rules in messages."""
+"""Derive rules from type annotations, check values against them, and describe the rules in messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class OwnRule:
 
 
 class Numbers:
-    """Type in the rule for ArrayLike and arrays: any value that NumPy converts to an array of numbers."""
+    """The type in rules for ArrayLike and arrays. It stands for any value that NumPy converts to numbers."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Rule:
 
     @cached_property
     def options(self) -> list[Rule]:
-        """Rules of a union's members, at least one of which must hold; empty for all other types."""
+        """Rules of a union's members, at least one of which must hold; empty if the type is not a union."""
         is_union = self.origin in (Union, UnionType)
         return [Rule.of(one, self.marks) for one in get_args(self.form)] if is_union else []
 
@@ -129,7 +129,7 @@ def _is_numeric(value: object, rule: Rule) -> bool:
 
 @runtime_checkable
 class _Indexed(Protocol):
-    """A sequence, or an object such as an array that can be indexed like one."""
+    """A sequence, or another object that can be indexed like one, such as an array."""
 
     def __len__(self) -> int: ...
 
@@ -137,7 +137,7 @@ class _Indexed(Protocol):
 
 
 class _Kind(NamedTuple):
-    """Description of a type in words, and the test that its values must pass.
+    """A type's description in words, and the test for its values.
 
     A value must be an instance of one of `classes` but of none of `others`, and `holds` must return True.
     """

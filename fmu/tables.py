@@ -1,4 +1,4 @@
-"""Tables as pandas data frames, as text that fits a terminal, and as Markdown."""
+"""Make pandas data frames, text tables that fit a terminal, and Markdown tables."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list[int]:
-    """Narrow the columns of words until the table fits, if possible; return the column widths."""
+    """Return the column widths, with columns of words narrowed until the table fits if that is possible."""
     widths = list(widths)
     narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are easier to read on one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
@@ -91,7 +91,7 @@ def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list
 
 
 def _blocks(widths: list[int], width: int) -> list[list[int]]:
-    """Return lists of the columns that fit side by side; each list begins with the first column."""
+    """Divide the columns into lists that fit side by side. Each list begins with the first column."""
     blocks = [[0]]
     for column in range(1, len(widths)):
         taken = sum(widths[i] + len(_GAP) for i in blocks[-1])
@@ -102,7 +102,7 @@ def _blocks(widths: list[int], width: int) -> list[list[int]]:
 
 
 def _lines(columns: list[list[str]], widths: list[int], words: Collection[int], block: list[int]) -> Iterator[str]:
-    """Yield the text lines of the columns in `block`."""
+    """Yield the lines of text of the columns in `block`."""
     for row in zip(*(columns[i] for i in block), strict=True):
         cells = [textwrap.wrap(cell, widths[i]) or [""] for i, cell in zip(block, row, strict=True)]
         for line in range(max(map(len, cells))):

@@ -1,4 +1,4 @@
-"""Types for annotations: arrays by type of entry, numbers in a range, chain-rule functions, and a log-density."""
+"""Types for annotations: arrays by entry type, numbers in a range, chain-rule functions, and a log-density."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class LogDensity(Protocol):
     upper: FloatArray
 
     def log_prob(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, a float for theta of shape ``(ndim,)``, or an array ``(n,)`` for ``(n, ndim)``.
+        """Return the log-density: a float for theta of shape ``(ndim,)``, an array ``(n,)`` for ``(n, ndim)``.
 
-        The log-density is ``-inf`` outside the bounds.
+        It is ``-inf`` outside the bounds.
         """
         ...
 

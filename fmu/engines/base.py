@@ -48,7 +48,7 @@ class LostTaskError(RunFailedError):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Runs tasks in parallel; as a context manager, it stops its workers at the end of the block."""
+    """Runs tasks in parallel. Used as a context manager, it stops its workers at the end of the block."""
 
     @property
     def workers(self) -> int:
@@ -81,8 +81,8 @@ class Engine(Protocol):
         tasks : sequence
             The first task of every sequence. No task may be None.
         follow : callable, optional
-            Called in this process for every result. It returns the next task of the sequence, or None if the
-            sequence has ended. Without `follow`, every sequence is a single task.
+            Called in this process as ``follow(task, result)``. It returns the next task of the sequence, or None
+            if the sequence has ended. If `follow` is None, every sequence is a single task.
         report : callable, optional
             Called in this process with the progress that `work` reports, at most about ten times a second for each
             worker. If None, None is passed to `work`.
@@ -113,7 +113,7 @@ class Engine(Protocol):
 
 
 class InProcess(Engine):
-    """Runs all tasks in this process, one after the other, with one BLAS thread as in a worker."""
+    """Runs all tasks in this process, one after the other. BLAS uses one thread, as in a worker."""
 
     workers = 1
 
@@ -145,4 +145,4 @@ class InProcess(Engine):
         return free_memory()
 
     def close(self) -> None:
-        """Do nothing, because there are no workers to stop."""
+        """Do nothing: there are no workers to stop."""

@@ -1,4 +1,4 @@
-"""One thread for BLAS, in the block of a `with` statement."""
+"""Limit BLAS to one thread within a `with` block."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 
 class _OneThread:
-    """Context in which BLAS uses one thread, because more threads slow down many small eigenproblems.
+    """Context in which BLAS uses one thread, because many small eigenproblems are slower with more threads.
 
-    The previous number of threads is restored afterwards. Nothing is changed if there is only one thread already,
+    The previous number of threads is restored afterwards. If BLAS has only one thread already, nothing is changed,
     because threadpoolctl's own context takes as long as a reduced eigenproblem.
     """
 

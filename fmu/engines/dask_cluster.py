@@ -32,7 +32,7 @@ _limit_blas_threads_once = cache(limit_blas_threads)
 
 
 class DaskCluster(RemoteEngine):
-    """An engine that runs tasks on a Dask cluster, one per thread of its workers.
+    """An engine that runs tasks on a Dask cluster, one task per worker thread.
 
     Workers may join and leave the cluster. Tasks wait while there are no workers.
 
@@ -94,10 +94,10 @@ class DaskCluster(RemoteEngine):
         _set_levels(self._levels)
 
     def _start(self, waiting: deque[Task], shared: object) -> bool:
-        """Submit waiting tasks, but no more than there are threads; return True if any task is running.
+        """Submit waiting tasks, at most one per worker thread; return True if any task is running.
 
-        A task queued at a worker would be lost with that worker. A task can also be lost because its worker dies
-        of another task. A lost task is therefore rerun alone: if a worker dies then, this task is the cause.
+        A task queued at a worker would be lost with that worker. A task can also be lost because another task
+        killed its worker. A lost task is therefore rerun alone: if a worker dies then, this task is the cause.
         """
         while waiting and len(self._running) < self._n_threads:
             if self._running and (waiting[0].deaths or any(task.deaths for _, task in self._running.values())):
@@ -111,7 +111,7 @@ class DaskCluster(RemoteEngine):
         return bool(self._running)
 
     def _future(self, shared: object) -> distributed.Future:
-        """Return `shared` as the future of a separate task, whose result the workers copy from one another.
+        """Return a future for `shared`, made by a separate task whose result the workers copy from one another.
 
         If the result is lost with a worker, the scheduler reruns the task. Scattered data would be lost for good,
         and a broadcast would wait forever for a worker that has just died.
@@ -174,7 +174,7 @@ class DaskCluster(RemoteEngine):
 
 
 class _Thread(threading.local):
-    """The shared object that this worker thread unpickled last; every thread has its own copy."""
+    """The shared object that this worker thread unpickled last. Every thread has its own copy."""
 
     name = ""
     shared = Shared(b"")
@@ -184,7 +184,7 @@ _thread = _Thread()
 
 
 class Bytes:
-    """A wrapper around bytes, so that Dask does not inspect the content.
+    """A wrapper around bytes that keeps Dask from inspecting them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Total and free memory of this machine."""
+"""Read the total and free memory of this machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def free_memory() -> int | None:
-    """Return the bytes of memory that this process may still allocate, or None if that is not reported."""
+    """Return the bytes of memory that this process may still allocate, or None if the system reports none."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         free = next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
@@ -26,7 +26,7 @@ def free_memory() -> int | None:
 
 
 def total_memory() -> float:
-    """Return the bytes of memory of this machine or container; infinite if the system does not report it."""
+    """Return the memory of this machine or container in bytes, or infinity if the system does not report it."""
     total = math.inf
     with suppress(AttributeError, OSError, ValueError):
         total = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")

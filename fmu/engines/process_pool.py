@@ -62,7 +62,10 @@ class WorkerProcess:
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return the worker's next message, ``("nothing", None)`` if none, or ``("died", how)`` if it has died."""
+        """Return the worker's next message.
+
+        It is ``("nothing", None)`` if there is none, and ``("died", how)`` if the worker has died.
+        """
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()
@@ -155,14 +158,14 @@ class ProcessPool(RemoteEngine):
         process.stop()
 
     def _pack_shared(self, shared: object) -> bytes:
-        """Return `shared` pickled; if it is the same object as in the last call, return the same bytes object."""
+        """Return `shared` pickled. If it is the same object as in the last call, the bytes are not made again."""
         if self._shared is None or self._shared[0] is not shared:
             self._shared = shared, cloudpickle.dumps(shared)
         return self._shared[1]
 
 
 def serve(connection: Connection, path: list[str], folder: str) -> None:
-    """Run in a worker all tasks that arrive over a connection, until the other end is closed.
+    """Run all tasks that arrive over a connection, until its other end is closed; runs in a worker process.
 
     The worker receives ``("shared", bytes)`` and ``("task", bytes)``, pickled. For each task it sends
     ``("report", arguments)`` any number of times, then ``("outcome", bytes)``.
@@ -204,7 +207,7 @@ def _name_of_signal(number: int) -> str:
 
 @contextmanager
 def _quiet_start() -> Iterator[None]:
-    """Block interrupts and hide the main module while a process starts.
+    """Block interrupts and hide the main module while a worker process starts.
 
     A spawned process imports the program's main module, which would itself start processes if it lacks ``if
     __name__ == "__main__":``. Functions of the main module are pickled by value here, so no worker has to import

@@ -1,4 +1,4 @@
-"""Runs a user's program with a time limit; the program is killed when the calling process ends."""
+"""Run a user's program with a time limit, and kill it when the calling process ends."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def run_program(
 
 
 def last_lines(output: Path) -> str:
-    """Return the last lines that a program printed, joined into one line; empty if it printed nothing."""
+    """Return the last lines that a program printed, joined into one line, or "" if it printed nothing."""
     try:
         with open(output, "rb") as file:
             file.seek(max(0, output.stat().st_size - _TAIL))

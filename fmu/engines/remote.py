@@ -1,4 +1,4 @@
-"""Common code of the engines with worker processes: pickled tasks and outcomes, and the loop over the tasks.
+"""Code shared by the engines with worker processes: pickled tasks and outcomes, and the loop over the tasks.
 
 `RemoteEngine` and `unpack_outcome` run in the calling process; `carry_out` and `limit_blas_threads` run in a
 worker.
@@ -42,7 +42,7 @@ class Task(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Outcome of a task: the bytes returned by `carry_out`, or the number of successive worker deaths.
+    """Outcome of a task: the bytes that `carry_out` returned, or the number of worker deaths in a row.
 
     `how` says how the last worker died.
     """
@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
 
 
 class RemoteError(Exception):
-    """Traceback in a worker, set as the cause of the exception that is raised in the calling process."""
+    """Traceback from a worker, set as the cause of the exception that is raised in the calling process."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
@@ -113,7 +113,7 @@ class RemoteEngine(Engine):
 
 
 class Shared:
-    """Data for all tasks, unpickled when a task first needs them, so that any error is raised in that task."""
+    """Data for all tasks, unpickled only when a task first needs them, so that an error is raised in that task."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
@@ -170,7 +170,7 @@ def limit_blas_threads() -> None:
 
 
 def _again(task: Task, outcome: Outcome) -> Task:
-    """Return a task to be rerun; raise LostTaskError if too many workers have died while running it."""
+    """Return a task so that it is rerun; raise LostTaskError if too many workers have died while running it."""
     deaths = task.deaths + outcome.deaths
     if deaths >= MAX_DEATHS:
         raise LostTaskError(task.sequence, outcome.how)

@@ -1,4 +1,4 @@
-"""Displays of progress: bars on a terminal or in a notebook, JSON lines for programs, and otherwise log lines.
+"""Display progress as bars on a terminal or in a notebook, as JSON lines for programs, or as log lines.
 
 Reading order: this file, `phases` (the source of the reports), `displays`, `lines`; then `pace` and `words`.
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
-    """Yield a callback that draws one bar per phase, or None if there is no notebook and no terminal."""
+    """Yield a callback that draws one bar per phase, or None if there is neither a notebook nor a terminal."""
     from fmu.progress.displays import NotebookBars, SuccessiveBars
 
     if in_notebook():
@@ -43,7 +43,7 @@ def json_lines(stream: TextIO) -> JSONLines:
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Yield the callback that an argument `progress` requests, or None if nothing is displayed.
+    """Yield the callback that an argument `progress` requests, or None if nothing is to be displayed.
 
     A callable is yielded unchanged. True gives bars, None gives bars only in a notebook, and False gives no
     display. The bars show the `label` before the name of the phase.
@@ -58,12 +58,12 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
 
 
 def end_bars(report: Report | None) -> None:
-    """Stop updating the bars that a callback draws, so that text can be printed below; ignore other callbacks."""
+    """Stop updating a callback's bars, so that text can be printed below them; do nothing for other callbacks."""
     getattr(report, "end", lambda: None)()
 
 
 def add_label(report: Report, label: str) -> Report:
-    """Return a callback that adds ``label`` to the information in every report."""
+    """Return a callback that adds ``label`` to the `info` of every report before passing it on."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:
         report(phase, done, total, {"label": label, **info})

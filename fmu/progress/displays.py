@@ -1,4 +1,4 @@
-"""Displays of progress: bars on a terminal or in a notebook, one per phase and group of chains, and JSON lines."""
+"""Progress displays: bars on a terminal or in a notebook, one per phase and group of chains, and JSON lines."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ROWS_SPARED = 2
 
 @contextmanager
 def terminal_bars(console: Console | None = None) -> Iterator[Report]:
-    """Yield a callback that draws bars on the terminal; if there are too many, finished bars are hidden."""
+    """Yield a callback that draws bars on the terminal. If the bars do not all fit, finished ones are hidden."""
     from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.table import Column
     from rich.text import Text
@@ -65,7 +65,7 @@ def terminal_bars(console: Console | None = None) -> Iterator[Report]:
 
 
 class SuccessiveBars:
-    """Bars on the terminal that can be ended before text is printed; later reports draw new bars below it."""
+    """Bars on the terminal that can be ended before text is printed. Later reports draw new bars below it."""
 
     def __init__(self) -> None:
         self._stack = ExitStack()
@@ -84,20 +84,20 @@ class SuccessiveBars:
         self._report(phase, done, total, info)
 
     def end(self) -> None:
-        """Leave the bars as they are; the next report starts new bars."""
+        """Leave the bars as they are, so that the next report starts new bars."""
         self._stack.close()
         self._report = None
 
 
 def _make_room(bars: Progress) -> None:
-    """Hide the oldest finished bars if the bars do not all fit on the terminal."""
+    """If the bars do not all fit on the terminal, hide the oldest ones that are finished."""
     shown = [task for task in bars.tasks if task.visible]
     for task in shown[: max(len(shown) - (bars.console.size.height - _ROWS_SPARED), 0)]:
         bars.update(task.id, visible=not task.finished)
 
 
 class NotebookBars:
-    """Bars in a notebook, drawn as HTML, which every front end shows; a saved notebook keeps their last state."""
+    """Bars in a notebook, as HTML, which every front end shows. A saved notebook keeps their last state."""
 
     def __init__(self) -> None:
         self._lines: dict[str, str] = {}
@@ -163,7 +163,7 @@ class JSONLines:
         self.close()
 
     def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Write a line with `done` of `total` steps of a phase, or defer it if the last line is too recent."""
+        """Write a line with a phase's `done` and `total` steps, or defer it if the last line is too recent."""
         name, now = bar_name(phase, info), time.monotonic()
         self._paces[name].add(now, done, total)
         left = self._paces[name].remaining(now)

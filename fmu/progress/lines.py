@@ -1,4 +1,4 @@
-"""Progress as log lines if there is no terminal: one line at each stage, then one line every 30 s."""
+"""Progress as log lines, for use without a terminal: one line at each stage, then one line every 30 s."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ProgressLines:
             self._words = in_words(info)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Record the steps of the current phase; see `fmu.progress.phases.Note`. An empty name ends the phase."""
+        """Record the steps of the current phase; see `fmu.progress.phases.Note`. An empty `phase` ends it."""
         with self._lock:
             self._step(phase or self._outer, done, total)
 

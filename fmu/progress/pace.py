@@ -1,4 +1,4 @@
-"""The pace of a phase, and the throttling of its reports."""
+"""Estimate how fast a phase of a run progresses, and limit how often progress is reported."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _SAMPLES = 50
 
 
 class Pace:
-    """Pace of a phase over the last few seconds, which is not affected by a slow beginning.
+    """Pace of a phase over the last few seconds, so that a slow beginning does not affect it.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class Pace:
         self._steps: deque[tuple[float, int]] = deque()
 
     def add(self, now: float, done: int, total: int) -> None:
-        """Record that `done` of `total` steps are done at time `now`, in s on any clock."""
+        """Record that `done` of `total` steps are done at time `now`, in seconds on any clock."""
         if self._steps and done < self._steps[-1][1]:  # the phase has started again
             self._steps.clear()
         self.total = total
@@ -43,7 +43,7 @@ class Pace:
         return (done - before) / (ended - began) if ended > began else None
 
     def remaining(self, now: float) -> float | None:
-        """Return the remaining time in s at time `now`, or None if the pace is zero or not known."""
+        """Return the time in s that remains at time `now`, or None if the pace is zero or not known."""
         if not self._steps:
             return None
         at, done = self._steps[-1]
@@ -67,7 +67,7 @@ class Throttle:
         self._shown: dict[Hashable, float] = {}
 
     def lets(self, what: Hashable, *, ends: bool) -> bool:
-        """Return True if a report about `what` may be shown now; `ends` marks the last report."""
+        """Return True if a report about `what` may be shown now; always True if `ends` marks it as the last."""
         now = time.monotonic()
         if not ends and what in self._shown and now < self._shown[what] + self.interval_s:
             return False

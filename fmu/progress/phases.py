@@ -1,4 +1,4 @@
-"""The phases of a run other than the draws: their progress, and the number of model solves in each phase.
+"""Phases of a run other than the draws: their progress, and the number of model solves in each phase.
 
 Code that may take long opens a `phase` and calls `Phase.advance`. Models call `count_solves`. `told_to` sets the
 callbacks that receive the reports, so the functions in between need not pass them on.
@@ -75,7 +75,7 @@ class Phase:
         self.tell()
 
     def tell(self) -> None:
-        """Call the `Note` callbacks, and also the report if the phase has lasted at least `AT_ONCE_S`."""
+        """Call the `Note` callbacks, and also `report` unless the phase is shorter than `AT_ONCE_S` so far."""
         for note in self._notes:
             note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
@@ -84,7 +84,7 @@ class Phase:
             self._report(self.name, self.done, self.total, {"solves": self.solves, **elapsed, **self.said})
 
     def end(self) -> None:
-        """Report the phase as complete if it ends before its last step, or is long and has not been reported."""
+        """Report the phase as complete if it was reported and ends early, or took long and was not reported."""
         is_long = time.monotonic() - self._began >= AT_ONCE_S
         if (self._is_told and self.done < self.total) or (is_long and not self._is_told):
             self.total = self.done = max(self.done, 1)
@@ -100,7 +100,7 @@ _teller: ContextVar[Callable[[str], None] | None] = ContextVar("teller", default
 def told_to(
     report: Report | None, note: Note | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Set the callbacks for the phases within a block; None leaves the current callback in place.
+    """Set the callbacks for the phases within a block. If one is None, the current callback stays in place.
 
     In nested blocks, every `note` is called, but only the innermost `report` and `tell`.
     """
@@ -115,7 +115,7 @@ def told_to(
 
 
 def tell_fact(fact: str) -> None:
-    """Write a fact, such as the size of the model, to the log, if there is one."""
+    """Write a fact, such as the size of the model, to the current log; do nothing if there is no log."""
     tell = _teller.get()
     if tell is not None:
         tell(fact)
@@ -123,7 +123,7 @@ def tell_fact(fact: str) -> None:
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
-    """Open a phase for a block; a nested phase is reported separately, but its solves count for both phases."""
+    """Open a phase for a block. A nested phase is reported separately, but its solves count for both phases."""
     outer, (report, notes) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
@@ -156,10 +156,10 @@ def by_parts[Found](
     most: int = 4096,
     least: int = 1,
 ) -> list[Found]:
-    """Apply a function to batches of points (n, ...), reported as a phase; return the list of results.
+    """Apply a function to batches of points (n, ...), and return the list of results.
 
-    The batch size is chosen so that a batch takes some tenths of a second. A batch has at least `least` and at
-    most `most` rows; the last one may have fewer.
+    The work is reported as a phase. The batch size is chosen so that a batch takes some tenths of a second. A
+    batch has at least `least` and at most `most` rows; the last one may have fewer.
     """
     found: list[Found] = []
     first, rows = 0, max(min(_FIRST_ROWS, most), least)

@@ -1,4 +1,4 @@
-"""Text and JSON for progress reports, with numbers in short form, and the stream to which lines are written."""
+"""Text and JSON for progress reports, with numbers in short form, and a stream that writes lines."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _PREFIXES = ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
 def bar_name(phase: str, info: Info) -> str:
-    """Return the name of a bar, such as ``hmc draws 1/2``: label, if any, then phase, then group, if any."""
+    """Return the name of a bar, such as ``hmc draws 1/2``: the label and group, if any, around the phase."""
     return " ".join(str(part) for part in (info.get("label"), phase, info.get("group")) if part)
 
 
 def in_words(info: Info, brief: bool = False) -> str:
     """Return the text beside a progress bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
 
-    Rates come last. If `brief`, a rate has no name: ``5.3k/s``.
+    Rates come last. If `brief` is True, a rate has no name: ``5.3k/s``.
     """
     names = sorted((name for name in info if name not in HIDDEN), key=lambda name: name.endswith(_RATE))
     return " ".join(_item(name, info[name], brief) for name in names)
 
 
 def duration(seconds: float | None) -> str:
-    """Format a time in s, ``0:04`` (4 s) or ``1:02:03``; ``-:--`` if the time is not known."""
+    """Format a time in seconds as ``0:04`` (4 s) or ``1:02:03``, or as ``-:--`` if it is not known."""
     if seconds is None or not math.isfinite(seconds):
         return "-:--"
     minutes, s = divmod(math.ceil(seconds), 60)
@@ -46,7 +46,10 @@ def duration(seconds: float | None) -> str:
 
 
 def number(value: float) -> str:
-    """Format a number with about three digits, with thousands as ``1.2k``; ``–`` if it is not finite."""
+    """Format a number with about three digits and a prefix such as ``k`` for thousands: ``1.2k``.
+
+    A number that is not finite becomes a dash.
+    """
     if not math.isfinite(value):
         return MISSING
     for size, prefix in _PREFIXES:
@@ -57,7 +60,7 @@ def number(value: float) -> str:
 
 
 def as_json(value: object) -> str:
-    """Convert a value to JSON text: NumPy numbers become numbers, non-finite values null, other objects text."""
+    """Convert a value to JSON text. Non-finite numbers become null, and objects unknown to JSON become text."""
     return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 
 
@@ -78,7 +81,7 @@ def _item(name: str, value: str | int | float, brief: bool) -> str:
 
 
 class LineStream:
-    """Writes lines to a stream and flushes it after each line; after an error it writes nothing more."""
+    """Writes lines to a stream and flushes it after each line. After an error it writes nothing more."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream: TextIO | None = stream

@@ -208,7 +208,10 @@ DEFAULTS: Mapping[str, Any] = {
 
 
 def _settings_of(sampler: str | Sampler) -> Sampler:
-    """Return the sampler's settings; raise ValueError unless `sampler` is a known name or a settings object."""
+    """Return the settings of a sampler given by name, or the settings object itself.
+
+    Raise ValueError if `sampler` is neither a known name nor a settings object.
+    """
     from fmu.samplers.kernel import Sampler
     from fmu.samplers.registry import make_sampler
 
@@ -233,7 +236,10 @@ def _check(
     groups: Any,
     seed: Any,
 ) -> dict[str, int]:
-    """Return the numbers that determine a run's draws, by name; raise ValueError if an argument is invalid."""
+    """Check the arguments; return the numbers that determine a run's draws, keyed by name.
+
+    Raise ValueError if an argument is invalid.
+    """
     import numpy as np
 
     from fmu.analysis.trace.densities import names_of

@@ -1,4 +1,4 @@
-"""The limits of a run: numbers of draws and solves, and the effective sample size (ESS) to reach."""
+"""Limits of a run: the largest numbers of draws and solves, and the effective sample size (ESS) to reach."""
 
 from __future__ import annotations
 
@@ -52,9 +52,10 @@ class Limits(NamedTuple):
         return cls(draws, until_ess, max_draws, max_solves)
 
     def shorten(self, warmup: int, costs: tuple[float, float]) -> tuple[int, Limits]:
-        """Reduce the planned steps if they would exceed `solves`; return the warm-up steps and the limits.
+        """Reduce the planned numbers of steps if they would take more than `solves` solves.
 
-        The number of warm-up steps and `first` are reduced by the same factor.
+        Return the number of warm-up steps and the limits. The warm-up and `first` are shortened by the same
+        factor.
 
         Parameters
         ----------
@@ -72,7 +73,8 @@ class Limits(NamedTuple):
     def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
         """Return the number of steps to draw first, after `warmup` warm-up steps that took `solves` solves.
 
-        If warm-up took more solves per step than usual, later steps are assumed to do so by the same factor.
+        If warm-up took more solves per step than usual, later steps are assumed to exceed their usual cost by the
+        same factor.
         """
         if self.solves is None:
             return self.first
@@ -80,10 +82,10 @@ class Limits(NamedTuple):
         return max(min(self.first, int((self.solves - solves) / (dearer * costs[1]))), 1)
 
     def allow(self, result: RunResult) -> tuple[int, str]:
-        """Return the number of further steps allowed, and the limit in words if it is reached, otherwise "".
+        """Return the number of further steps allowed, and a text that names the limit if it is reached.
 
-        Each further step is assumed to take the average number of solves of the steps so far. If the remaining
-        solves suffice for at most 1 % more steps, no further step is allowed.
+        The text is empty if further steps are allowed. Each is assumed to take the average number of solves of the
+        steps so far. If the remaining solves suffice for at most 1 % more steps, no further step is allowed.
         """
         allowed = []
         if self.draws is not None:
@@ -97,7 +99,7 @@ class Limits(NamedTuple):
         return steps, "" if steps else limit
 
     def describe_excess(self, result: RunResult, planned_warmup: int) -> str:
-        """Describe a shortened warm-up, and an excess of more than 1 % over the limit on solves.
+        """Return a text on a shortened warm-up, and on an excess of more than 1 % over the limit on solves.
 
         The text is empty if neither occurred.
         """

@@ -1,4 +1,4 @@
-"""Comparison of models for the same data, which are sampled first if there are no draws yet."""
+"""Compare models of the same data, and sample those that have no draws yet."""
 
 from __future__ import annotations
 

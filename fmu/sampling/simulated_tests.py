@@ -1,4 +1,4 @@
-"""Updating with simulated tests of a plan, to show how good the plan's linearised accuracy is."""
+"""Update with simulated tests of a plan, to show how accurate the plan's linearised prediction is."""
 
 from __future__ import annotations
 
@@ -100,7 +100,10 @@ def simulate_plan(
 
 
 def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
-    """Return the plan's model reduced to the measured modes and the chosen sensors, for updating."""
+    """Return the plan's model for updating, with only the measured modes and the sensors of a choice.
+
+    `every` contains the indices of the chosen candidates, including those that are already mounted.
+    """
     there, whole = plan.design.candidates, plan.design.found.model
     rows = there.rows(every)
     if isinstance(whole, ReducedStructure | PairedStructure):
@@ -112,9 +115,10 @@ def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
 
 
 def _reduce(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStructure | PairedStructure:
-    """Return the plan's reduced model extended to the full bounds, or a newly trained one.
+    """Return the model with a reduced basis for the full bounds.
 
-    The model is returned unchanged if a displacement has neither stiffness nor mass at a bound.
+    A reduced model is extended, and any other model is reduced, unless a displacement has neither stiffness nor
+    mass at a bound. The model is then returned unchanged.
     """
     lower, upper = training_box(plan.problem.parameters[: whole.n_parameters])
     if isinstance(whole, ReducedStructure):

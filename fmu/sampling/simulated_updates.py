@@ -1,4 +1,4 @@
-"""Real and expected accuracy of updating with simulated tests, and the reasons where they differ."""
+"""Real and expected accuracy of updating with simulated tests, and the reasons for differences."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
 
 @dataclass(frozen=True, eq=False)
 class Updates:
-    """Updates with all simulated tests for one choice of sensors: the attributes of `Update`, stacked over tests.
+    """Updates with all simulated tests for one choice of sensors; the attributes of `Update` stacked over tests.
 
     Attributes
     ----------
@@ -119,10 +119,11 @@ class Updates:
         return cls(**{one.name: np.array([getattr(u, one.name) for u in updates]) for one in fields(cls)})
 
     def explain(self, test: int, k: int, expected: float) -> dict[str, object]:
-        """Return the row of `SimulatedTests.cases` for parameter `k` in a test; `expected` is its expected sd.
+        """Return the row of `SimulatedTests.cases` for parameter `k` in a test.
 
-        real/expected = (at_truth/expected) (at_mean/at_truth) (real/at_mean). The factor that is furthest from 1
-        gives the reason. The last factor is due to bounds, crossing modes, or another departure from a Gaussian.
+        `expected` is the parameter's expected standard deviation. The ratio to explain is real/expected =
+        (at_truth/expected) (at_mean/at_truth) (real/at_mean). The factor that is furthest from 1 gives the reason.
+        The last factor is due to bounds, crossing modes, or another departure from a Gaussian.
         """
         truth, mean, real = self.at_truth[test, k], self.at_mean[test, k], self.real[test, k]
         factors = np.array([truth / expected, mean / truth, real / mean])
@@ -158,7 +159,7 @@ class SimulatedTests:
     updates: Mapping[str, Updates]
 
     def ratios(self, choice: str = PLANNED) -> FloatArray:
-        """Return a choice's ratios of real to expected standard deviation, shape (n_tests, p)."""
+        """Return the ratios of real to expected standard deviation for a choice of sensors, shape (n_tests, p)."""
         return self.updates[choice].real / self.expected[choice]
 
     def table(self) -> pd.DataFrame:
@@ -173,12 +174,14 @@ class SimulatedTests:
     def cases(self) -> pd.DataFrame:
         """Return a table of the planned tests in which a parameter's ratio is outside 0.7 to 1.4, worst first.
 
-        The columns are:
+        The ratio is the real standard deviation divided by the expected one. The columns are:
 
         - ``test`` (from 1), ``parameter`` and ``ratio``;
-        - ``true values``, ``noise`` and ``shape``: the factors of the ratio. They are the standard deviation
-          linearised at the true parameters divided by the expected one, the one linearised at the posterior mean
-          divided by the one at the true parameters, and the real one divided by the one at the posterior mean;
+        - ``true values``: first factor of the ratio, the standard deviation linearised at the true parameters divided by
+          the expected one;
+        - ``noise``: second factor, the standard deviation linearised at the posterior mean divided by the one linearised
+          at the true parameters;
+        - ``shape``: last factor, the real standard deviation divided by the one linearised at the posterior mean;
         - ``at_bounds``: fraction of draws close to a bound;
         - ``skewness``;
         - ``crossed``: fraction of draws with modes in another order;

@@ -101,7 +101,7 @@ class Task(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """Starting points and settings of a run; `is_new` is True if the maxima have just been found."""
+    """Starting points and settings of a run. `is_new` is True if the maxima were searched for at its start."""
 
     settings: Sampler
     starts: Starts
@@ -284,7 +284,11 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
 
 
 def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
-    """Return a saved run's number of warm-up steps if that run requested `asked`; otherwise return `warmup`."""
+    """Return the number of warm-up steps with which a run resumes, or `warmup` for a new run.
+
+    A saved run that also requested `asked` warm-up steps keeps its own number, which its limits may have
+    shortened.
+    """
     from fmu.durable_files import DamagedError
     from fmu.runs.identity import Identity
 
@@ -297,7 +301,7 @@ def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
 
 
 def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
-    """Return the engine that runs the tasks; if it is created here, `stack` closes it."""
+    """Return the engine that runs the tasks. If it is created here, `stack` closes it."""
     from fmu.engines import engine
     from fmu.engines.base import Engine
 
@@ -307,9 +311,10 @@ def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
 
 
 def _takes_exact_gradients(trace: xr.DataTree, problem: LogDensity, settings: Sampler) -> bool:
-    """Return True if the run used exact gradients that cost more than the solves counted for them.
+    """Return True if the run used exact gradients whose cost exceeds the solves counted for them.
 
-    The solves of finite differences are counted anyway. A user's function returns value and gradient in one call.
+    This is False for finite differences, whose solves are counted, and for a user's function that returns value
+    and gradient in one call.
     """
     from fmu.analysis.trace.densities import is_updating
 

@@ -1,4 +1,4 @@
-"""Delayed acceptance: draws from the model's posterior, made by solving the model at draws of a surrogate."""
+"""Delayed acceptance: draw from the model's posterior by solving the model at draws of a surrogate."""
 
 from __future__ import annotations
 
@@ -125,12 +125,12 @@ def delayed_acceptance(
 
 
 def proposals(until_ess: float | None, chains: int) -> int:
-    """Return the number of proposals, over all chains, to solve before convergence is first checked."""
+    """Return the number of proposals to solve before convergence is first checked, summed over all chains."""
     return chains * int(np.ceil(_MARGIN * max(until_ess or 0.0, required_ess(chains)) / chains))
 
 
 def _with_model(found: xr.DataTree, stage: SecondStage) -> xr.DataTree:
-    """Add the groups that `fmu.sample` adds to a trace, if they take at most a few solves."""
+    """Return the trace with the groups that `fmu.sample` adds, if they take at most a few solves."""
     trace, truth = stage.trace, stage.truth
     known = maxima_of(trace)
     maxima = None if known is None else stage.maxima(known)

@@ -1,4 +1,4 @@
-"""Limits on the errors of posterior moments, from a surrogate's log-probability errors at a few draws."""
+"""Bound the errors of posterior moments, from a surrogate's log-probability errors at a few draws."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ErrorLimits(NamedTuple):
 
     @classmethod
     def of(cls, errors: FloatArray, draws: FloatArray, posterior: FloatArray, expected: float) -> ErrorLimits:
-        """Return the limits for errors (n,), which are not finite where the slow model failed.
+        """Return the limits, given errors (n,) that are not finite where the slow model failed.
 
         `shift` is the larger of `upper_shift` and `expected`, because a few draws may miss small regions with
         large errors. `expected` is the standard deviation of e over the posterior, as predicted by the surrogate.
@@ -116,7 +116,7 @@ def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int
     """Return the smallest number of draws for which `upper_shift` is likely to be within `tolerance`.
 
     The number is between `fewest` and `most`, or 0 if even `most` draws are not enough. `sd` is the expected
-    standard deviation of the errors. As a margin, the sample standard deviation is assumed to be larger by the
+    standard deviation of the errors. As a margin, the sample standard deviation is taken to be larger by the
     factor `_MARGIN`, and the changes of the means to be `_MARGIN` standard errors.
     """
     of_sds = largest_sd_shift(posterior)
@@ -128,12 +128,12 @@ def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int
 
 
 def _quantile(n: int, ndim: int) -> float:
-    """Return the 95 % limit, in standard errors, on the errors of `ndim` means of n values."""
+    """Return the joint 95 % limit on the errors of `ndim` means of n values, in standard errors."""
     return float(stdtrit(n - 1, 1.0 - (1.0 - LEVEL) / (2 * ndim)))
 
 
 def _upper_sd(values: FloatArray) -> float:
-    """Return the upper 95 % limit on the standard deviation of a population, given n values."""
+    """Return the upper 95 % confidence limit on a population's standard deviation, given a sample of values."""
     n = len(values)
     variance = float(np.var(values, ddof=1))
     if variance == 0.0:
@@ -143,6 +143,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the upper limit on a standard deviation divided by the sample value, for n values."""
+    """Return the upper confidence limit on a standard deviation, divided by the standard deviation of n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

@@ -110,9 +110,9 @@ def surrogate(
 
 
 def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
-    """Extend the design until the certificate meets the tolerance or no solves are left; return its limits.
+    """Extend the design until the certificate meets the tolerance; return the certificate's error limits.
 
-    The extension also ends if the scatter of the solver prevents a better certificate.
+    The extension also ends if no solves are left, or if the scatter of the solver prevents a better certificate.
     """
     optimism, at_floor = 1.0, 0
     while True:
@@ -223,17 +223,20 @@ class _Learner:
     def find_undecided(self, draws: FloatArray) -> IntArray:
         """Return the indices of the draws (n, ndim) at which it is uncertain whether a solve would fail.
 
-        These draws lie between points that were solved and points that failed.
+        These draws lie close to the boundary between points with successful solves and points with failed ones.
         """
         margin = self.model.feasibility.margin(self.coordinates.to_x(draws[:, : self.n]))
         return np.flatnonzero(np.abs(margin) < EDGE)
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
-        """Solve at draws (n, ndim), add the solves to the design and refit the surrogate."""
+        """Solve at draws (n, ndim), add these solves to the design, and refit the surrogate."""
         self.learn(self._solve(draws[:, : self.n], under_way))
 
     def check_draws(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
-        """Solve at draws (n, ndim); return the log-probability errors (n,), NaN on failure, and the solves."""
+        """Solve at draws (n, ndim); return the surrogate's log-probability errors, (n,), and the solves.
+
+        An error is NaN where the solve failed.
+        """
         answers = self._solve(draws[:, : self.n], under_way)
         self.checks = answers.theta
         expected = self.model.frequencies(draws[:, : self.n])
@@ -251,7 +254,7 @@ class _Learner:
         self._fit(self.model)
 
     def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
-        """Return the surrogate's certificate, with the limits on its errors."""
+        """Return the surrogate's certificate, which states the limits on its errors."""
         failed = self.design.failed
         estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
@@ -272,7 +275,10 @@ class _Learner:
         )
 
     def _doubts(self) -> str:
-        """Return sentences, one per line, on modes that may be swapped near the posterior; empty if none are."""
+        """Return sentences, one per line, on modes that may have been paired wrongly near the posterior.
+
+        The text is empty if there are none, or if no mode shapes are known.
+        """
         shapes = self.given.data.shapes
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:
             return ""

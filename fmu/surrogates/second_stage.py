@@ -65,7 +65,7 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
 
 
 class SecondStage:
-    """Proposals of all chains, (chains, n, ndim), and the model's log-probabilities at those solved so far.
+    """Proposals of all chains, (chains, n, ndim), and the model's log-probabilities at those already solved.
 
     Parameters
     ----------
@@ -111,11 +111,11 @@ class SecondStage:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Values of log p − log p̂ at the proposals solved so far, which are each chain's first n; (chains, n)."""
+        """Values of log p − log p̂ at the n proposals of each chain that are already solved, shape (chains, n)."""
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:
-        """Solve the model at all unsolved proposals among the first n of each chain."""
+        """Solve the model at each chain's first n proposals, except those already solved."""
         chains = len(self.theta)
         rows = -(-_TURNS * workers // chains)
         for first in range(self._n, n, rows):
@@ -130,7 +130,7 @@ class SecondStage:
             under_way.advance(chains * (self._n - first))
 
     def result(self, seconds: float) -> RunResult:
-        """Return the chains of accepted proposals as the result of a run; `seconds` is the time of this stage."""
+        """Return the chains of accepted proposals as the result of a run that took `seconds` seconds."""
         path, start = self._paths()
         chain = np.arange(len(path))[:, None]
         stats = {
@@ -157,7 +157,7 @@ class SecondStage:
         )
 
     def maxima(self, known: Maxima) -> Maxima | None:
-        """Correct the maxima of the surrogate's posterior with the model; return None if none of them is left.
+        """Return the maxima of the surrogate's posterior, corrected with the solves, or None if none is left.
 
         A maximum's mass is multiplied by the mean weight of the proposals near it, which gives its mass in the
         model's posterior. A maximum moves to the proposal near it with the largest log-probability, if that
@@ -183,7 +183,7 @@ class SecondStage:
         return replace(known, maxima=tuple(sorted(found, key=lambda one: -one.log_prob))) if found else None
 
     def record(self) -> Mapping[str, int]:
-        """Return the trace attributes that count proposals and solves."""
+        """Return the trace attributes that count proposals and solves, keyed by name."""
         return {
             "second_stage_proposals": self._which[:, : self._n].size,
             "second_stage_accepted": int(np.sum(self._accept_draws(*self._paths()))),

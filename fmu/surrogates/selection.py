@@ -1,4 +1,4 @@
-"""Selection of the points to solve next, which reduce the error of the posterior most."""
+"""Select the points to solve next, which reduce the posterior's error most."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.types import FloatArray, IntArray
 def error_variances(
     likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two variances, each (n,), of the log-probability error at theta (n, ndim).
+    """Return two variances of the log-probability error at theta (n, ndim), each of shape (n,).
 
     The first is due to the surrogate's own uncertainty, the second to the scatter of the solver.
     """
@@ -57,6 +57,9 @@ def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: Floa
 
 
 def stratify(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return the indices of n draws, one at random from each of n equal groups in order of `uncertainty` (N,)."""
+    """Sort the draws by `uncertainty` (N,), divide them into n equal groups, and pick one at random from each.
+
+    Return the indices of the picked draws, shape (n,).
+    """
     groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
     return np.array([rng.choice(group) for group in groups])
