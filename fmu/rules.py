@@ -31,7 +31,7 @@ class OwnRule:
 
 
 class Numbers:
-    """The type in rules for ArrayLike and arrays. It stands for any value that NumPy converts to numbers."""
+    """The type in rules for ArrayLike and arrays, which accepts any value that NumPy converts to numbers."""
 
 
 @dataclass(frozen=True)

@@ -174,14 +174,13 @@ class SimulatedTests:
     def cases(self) -> pd.DataFrame:
         """Return a table of the planned tests in which a parameter's ratio is outside 0.7 to 1.4, worst first.
 
-        The ratio is the real standard deviation divided by the expected one. The columns are:
+        The ratio is the real standard deviation divided by the expected one. It is the product of three factors.
+        The columns are:
 
         - ``test`` (from 1), ``parameter`` and ``ratio``;
-        - ``true values``: first factor of the ratio, the standard deviation linearised at the true parameters divided by
-          the expected one;
-        - ``noise``: second factor, the standard deviation linearised at the posterior mean divided by the one linearised
-          at the true parameters;
-        - ``shape``: last factor, the real standard deviation divided by the one linearised at the posterior mean;
+        - ``true values``: standard deviation linearised at the true parameters, divided by the expected one;
+        - ``noise``: standard deviation linearised at the posterior mean, divided by the one at the true values;
+        - ``shape``: real standard deviation, divided by the one linearised at the posterior mean;
         - ``at_bounds``: fraction of draws close to a bound;
         - ``skewness``;
         - ``crossed``: fraction of draws with modes in another order;
