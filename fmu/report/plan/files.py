@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Hashable
 from pathlib import Path
 
 import numpy as np
 
 from fmu.analysis.plan.result import Plan
 from fmu.arguments import check_arguments
+from fmu.formats.modes.measured_modes import is_node
 from fmu.formats.modes.uff import write_test_geometry
 from fmu.numbers import significant, typed
 from fmu.report.files import OutputDirectory
@@ -80,9 +82,9 @@ def measurement_table(plan: Plan) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _quote(value: object) -> str:
+def _quote(value: Hashable) -> str:
     """Return a node or a name in TOML notation."""
-    if isinstance(value, int | np.integer):
-        return str(int(value))
+    if is_node(value):
+        return str(value)
     text = str(value).replace("\\", "\\\\").replace('"', '\\"')
     return f'"{text}"'
