@@ -88,7 +88,7 @@ class ArgumentError(ValueError):
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
-        """Return the error with `old` replaced by `new` at the start of its key; other keys are unchanged."""
+        """Return the error with `old` replaced by `new` at the beginning of its key. Other keys are unchanged."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 
 def mapping_in(value: object) -> Mapping[str, Any] | None:
-    """Return `value` if it is a mapping, such as a table in a file; otherwise None."""
+    """Return `value` if it is a mapping, such as a table in a file, otherwise None."""
     return value if isinstance(value, Mapping) else None
 
 
@@ -20,5 +20,5 @@ def list_in(value: object) -> list[Any] | None:
 
 
 def number_in(value: object) -> int | float | None:
-    """Return `value` if it is a number, otherwise None; True and False count as numbers, as in Python."""
+    """Return `value` if it is a number, otherwise None. True and False count as numbers, as in Python."""
     return value if isinstance(value, int | float) else None

@@ -56,7 +56,7 @@ class Rule:
 
     @cached_property
     def options(self) -> list[Rule]:
-        """Rules of a union's members, at least one of which must hold; empty if the type is not a union."""
+        """Rules of a union's members, at least one of which must hold. Empty if the type is not a union."""
         is_union = self.origin in (Union, UnionType)
         return [Rule.of(one, self.marks) for one in get_args(self.form)] if is_union else []
 

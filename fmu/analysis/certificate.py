@@ -212,7 +212,10 @@ def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
 
 
 def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return a bound on each relative frequency error, (n, n_modes); it is 0 where the full model is used."""
+    """Return a bound on each relative frequency error, shape (n, n_modes).
+
+    The bound is 0 where the full model is used.
+    """
     bound = structure.frequency_bound(points)
     bound[~structure.within(points)] = 0.0
     return np.asarray(bound)

@@ -69,8 +69,8 @@ class Evidence:
     pareto_k : float
         Pareto shape parameter of the candidates' weights; NaN for tempering.
     doubts : tuple of str
-        Warnings about regions that the estimate may miss, because a mixture covers only what its chains visited;
-        otherwise empty.
+        For a mixture, warnings about regions that the estimate may miss, because the mixture covers only what its
+        chains visited. Empty for tempering.
     """
 
     log_evidence: float

@@ -26,7 +26,10 @@ class _Estimate(NamedTuple):
 
 
 def by_importance(q: FloatArray) -> tuple[float, float]:
-    """Return log-evidence and standard error from log-weights log P − log q (n,) of independent draws from q."""
+    """Return the log-evidence and its standard error, given log-weights log P − log q of independent draws from q.
+
+    The weights have shape (n,).
+    """
     total = float(logsumexp(q))
     relative = np.exp(q - total) * len(q)
     return total - float(np.log(len(q))), float(np.std(relative) / np.sqrt(len(q)))
@@ -72,7 +75,7 @@ def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
 
 
 def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the log of its mean exponential at each rung.
+    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the log of the mean of its exponential at each rung.
 
     The shapes are (chains, draws, rungs − 1) and (rungs − 1,).
     """

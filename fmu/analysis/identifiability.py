@@ -89,7 +89,7 @@ class Identifiability:
 
     @property
     def singular_values(self) -> FloatArray:
-        """Singular values of S in descending order, shape (ndim,); zero where parameters outnumber modes."""
+        """Singular values of S in descending order, shape (ndim,), 0 where parameters outnumber measured modes."""
         return self._svd[0]
 
     @property

@@ -59,8 +59,7 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
     statistics : ndarray, shape (1 + n_orders, k)
         Result of `in_random_orders`.
     two_sided : ndarray of bool, shape (k,)
-        Whether a statistic is unusual if it is far from zero on either side; otherwise it is unusual if it is
-        large.
+        True for a statistic that is unusual far from zero on either side, False for one that is unusual if large.
     """
     sizes = np.where(two_sided, np.abs(statistics), statistics)
     shuffled = sizes[1:]

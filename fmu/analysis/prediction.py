@@ -134,7 +134,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 
 
 def noise_sd(trace: xr.DataTree, mode: str) -> float:
-    """Return the standard deviation of a mode's measurement error, averaged over the draws, Hz; 0 if unknown."""
+    """Return the standard deviation of a mode's simulated measurement errors at the draws, Hz; 0 without them."""
     if not has(trace, "posterior_predictive", "frequency"):
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)

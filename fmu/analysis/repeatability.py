@@ -151,7 +151,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
 
 
 def repeatability_warnings(trace: xr.DataTree) -> list[str]:
-    """Return `Repeatability.doubts` for the tests stored in a trace; empty if tests were not repeated."""
+    """Return `Repeatability.doubts` for the tests in a trace, or an empty list if tests were not repeated."""
     tests = measured_tests(trace)
     if tests is None:
         return []

@@ -31,8 +31,7 @@ class Uninformed(NamedTuple):
     words : str
         The parameter ``"k"``, or the combination with the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
-        The combination that the data determine instead, if it has a simple form, such as ``"k/m"``; otherwise
-        empty.
+        The combination that the data determine instead, such as ``"k/m"``; empty if it has no simple form.
     """
 
     direction: FloatArray
@@ -67,7 +66,7 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
 
 
 def doubts(found: Identifiability) -> list[str]:
-    """Return a sentence, with a remedy, for each direction that the measured modes cannot determine."""
+    """Return a sentence on each direction that the measured modes cannot determine, with a remedy."""
     said = []
     for one in left_to_prior(found):
         names = names_in_words(one.names)
@@ -118,7 +117,7 @@ class Pair(NamedTuple):
     words: str
 
     def sentence(self, is_separated: bool) -> str:
-        """Return a sentence on whether the data separate the two parameters, with `change` and `remaining_sd`."""
+        """Return a sentence that says whether the data separate the two parameters, with the figures."""
         names = names_in_words(self.names)
         first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"
         left = share(min(self.remaining_sd, 1.0))

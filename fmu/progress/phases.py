@@ -47,7 +47,7 @@ class Phase:
     Attributes
     ----------
     said : dict of str to float
-        Further numbers, by name, to include in each report.
+        Further numbers to include in each report, keyed by name.
     """
 
     def __init__(self, name: str, total: int, report: Report | None, notes: tuple[Note, ...] = ()) -> None:

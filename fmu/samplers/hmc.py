@@ -222,7 +222,7 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether at least `_TRIALS` steps were taken with the last metric; the first step sizes are too long."""
+        """Whether at least `_TRIALS` steps were taken with the final metric. The first steps are too large."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 

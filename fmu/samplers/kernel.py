@@ -146,7 +146,7 @@ class Sampler(ABC):
         return bool(self.gradient)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return settings adapted to the density's maxima, given as quadratics; unchanged by default."""
+        """Return a copy adapted to the density's maxima, given as quadratics, or `self` by default."""
         return self
 
     @abstractmethod

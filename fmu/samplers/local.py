@@ -81,7 +81,7 @@ def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArr
 def accept_or_reject(
     rng: np.random.Generator, state: State, candidate: State, log_ratio: FloatArray
 ) -> tuple[State, BoolArray]:
-    """Move each chain to its candidate with probability min(1, exp(log_ratio)); otherwise leave it where it is.
+    """Move each chain to its candidate with probability min(1, exp(log_ratio)).
 
     Parameters
     ----------
@@ -96,6 +96,7 @@ def accept_or_reject(
     -------
     state : State
     accepted : ndarray of bool, shape (chains,)
+        Whether each chain moved to its candidate.
     """
     accepted = accept(rng, log_ratio)
     moved = accepted[:, None]

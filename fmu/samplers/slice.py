@@ -232,9 +232,9 @@ class SliceKernel(LocalKernel):
 
 
 class SliceTuner:
-    """Tuner that aligns slices with the principal axes of the covariance, a few standard deviations wide.
+    """Tuner that aligns intervals with the principal axes of the target's covariance, and learns their widths.
 
-    Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
+    This is automated factor slice sampling (Tibbits, Groendyke, Haran & Liechty 2014).
     """
 
     def __init__(self, sampler: Slice, density: LogDensity, steps: int) -> None:

@@ -159,7 +159,10 @@ class CentralDifference(WithGradient):
         self.delta, self.h = delta, h
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Return the gradients, from one batch with all perturbed points; all chains have the same density."""
+        """Return gradients at `position` (n, ndim), and log-densities if required, from one batch of points.
+
+        `chain` is ignored, because all chains have the same density.
+        """
         n, ndim = position.shape
         ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
         points = [ends.reshape(-1, ndim)]

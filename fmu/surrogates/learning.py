@@ -171,7 +171,7 @@ class _Learner:
         return self.most - self.solves
 
     def begin(self, under_way: Phase) -> None:
-        """Solve at the starting point and at points that fill the parameter space, and fit the first surrogate."""
+        """Solve at the starting point and at points that fill the parameter space, and fit a first surrogate."""
         from scipy.stats import qmc
 
         design: Design | None = None

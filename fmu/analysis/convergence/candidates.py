@@ -27,14 +27,16 @@ _IN_DOUBT = 0.1
 
 
 class Candidates(NamedTuple):
-    """Number of candidates that a run drew after warm-up, and the number that it needs.
+    """Number of mixture candidates that a run drew, and the number that it needs.
 
     Attributes
     ----------
-    drawn, needed : int
-        Number of candidates drawn, and number needed.
+    drawn : int
+        Number of candidates drawn after warm-up.
+    needed : int
+        Number needed to visit every component often enough.
     share : float
-        Smallest component weight that is not negligible.
+        Smallest weight of any component, negligible ones excluded.
     """
 
     drawn: int

@@ -66,7 +66,8 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         One row per sampler:
 
         - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
-        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if any of them is NaN;
+        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: largest R-hat and smallest ESS of any parameter; NaN if
+          one is NaN;
         - ``mcse_over_sd_max``: largest ratio of a posterior mean's standard error to the posterior sd;
         - ``accept_rate``: fraction of the retained draws that differ from the previous position;
         - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
@@ -164,8 +165,8 @@ def costs_side_by_side(
           and tail ESS were at least 400; NaN if this was never reached;
         - ``total_solves``: search, warm-up and all draws;
         - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter;
-        - ``criterion_over_baseline``, ``per_ess_over_baseline``: ``criterion_solves`` and ``solves_per_ess`` over
-          the baseline's values; NaN without a baseline.
+        - ``criterion_over_baseline``, ``per_ess_over_baseline``: ``criterion_solves`` and ``solves_per_ess``, each
+          divided by the baseline's value; NaN without a baseline.
     """
     grown = {name: growth(trace) for name, trace in traces.items()} if grown is None else grown
     search = _search(traces)

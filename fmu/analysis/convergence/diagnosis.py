@@ -129,7 +129,7 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Reasons why the run has not converged; if it has, sentences on what the verdict does not cover."""
+        """Reasons why the run has not converged or, if it has, sentences on the limits of the verdict."""
         said = self.reasons
         if self.converged and not self.few:
             said = self.doubts_of_search or ((self.search,) if self.search else ())

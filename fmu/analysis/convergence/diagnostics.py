@@ -285,7 +285,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Return a warning if emcee ran too few ensembles to exclude separate modes; otherwise an empty string."""
+    """Return a warning if emcee ran too few ensembles to exclude separate modes, otherwise an empty string."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""
@@ -297,7 +297,7 @@ def few_ensembles(trace: xr.DataTree) -> str:
 
 
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if some mixture component had too few candidates; otherwise an empty list."""
+    """Return a list with a sentence if some mixture component had too few candidates, otherwise an empty list."""
     found = candidates_of(trace)
     if found is None or found.drawn >= found.needed:
         return []
@@ -309,7 +309,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if a chain or walker stays too long at one point; otherwise an empty list."""
+    """Return a list with a sentence if a chain or walker stays too long at one point, otherwise an empty list."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers

@@ -90,7 +90,7 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of the standard deviation s, computed as the error of s² over 2 s.
+    """Return the Monte-Carlo standard error of the standard deviation s: the standard error of s² divided by 2 s.
 
     The ESS used is the smaller of the squares' ESS and the tail ESS, because slow mixing in a rarely visited tail
     shows earlier in the tail ESS.
@@ -108,8 +108,8 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
     It is the error of the fraction of draws below q_p, divided by the density at q_p:
 
     - The error of the fraction follows from the ESS of the indicator x ≤ q_p (Vehtari et al. 2021, section 4.3).
-      If overlapping batch means give a larger error, that error is used instead: a slowly decaying correlation
-      that is weak at the quantile ends the sum of autocorrelations too early.
+      If overlapping batch means give a larger error, that error is used instead, because the sum of
+      autocorrelations ends too early if the correlation is weak at the quantile but decays slowly.
     - The reciprocal density is the slope of q_p against log(p/(1 − p)), divided by p (1 − p). The slope is fitted
       by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
     - The slope itself scatters, by some 20 % if 20 effective draws lie beyond the quantile. The relative variance
@@ -211,7 +211,7 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
 
 
 def _ensemble_ess(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the ESS of the mean: the sum over ensembles of draws divided by autocorrelation time."""
+    """Return the ESS of the mean: number of draws divided by autocorrelation time, summed over ensembles."""
     return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))
 
 
@@ -330,7 +330,7 @@ def _live_ess(x: FloatArray, walkers: int) -> float:
 
 
 def _rank_normalised(x: FloatArray) -> FloatArray:
-    """Return the normal scores (Blom) of all draws, same shape as `x`, with ranks taken in a thinned sample."""
+    """Return the normal scores (Blom) of all draws, same shape as `x`, with ranks taken from a thinned sample."""
     from scipy.special import ndtri
 
     among = np.sort(x[:, :: -(-x.shape[1] // MOST_RANKED)], axis=None)

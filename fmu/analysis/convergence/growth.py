@@ -89,7 +89,9 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 
 
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
-    """Return the number of solves, warm-up included, at which a run first met the criterion; NaN if it never did.
+    """Return the number of solves at which a run first met the criterion, warm-up included.
+
+    The result is NaN if the run never met it.
 
     Parameters
     ----------

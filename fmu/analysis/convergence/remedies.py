@@ -89,7 +89,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS in a summary, without test scores; NaN if any of them is NaN."""
+    """Return the smallest bulk or tail ESS in a summary, or NaN if an ESS is NaN. Test scores are ignored."""
     return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 
@@ -158,7 +158,7 @@ def for_divergences(trace: xr.DataTree) -> str:
 
 
 def for_missed_maximum(trace: xr.DataTree) -> str:
-    """Return the remedy for a maximum that no chain visited, or between which and the others no chain moves."""
+    """Return the remedy for a maximum that no chain visited, or that chains do not enter and leave."""
     if (
         trace.attrs["sampler"] != "tempering"
         and not is_imported(trace)

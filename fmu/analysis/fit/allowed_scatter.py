@@ -51,7 +51,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on how to allow for the misfit and what effect this has; empty if no remedy is known."""
+    """Return sentences that say how to allow for the misfit, and with what effect; empty if no remedy is known."""
     responses = problem_of(trace).get("likelihood", {}).get("responses")
     if responses:
         return "" if "discrepancy" in responses[0] else REMEDY_OF_FRFS
@@ -89,7 +89,10 @@ def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list
 
 
 def _describe_correlation(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a list with a clause on the discrepancy's correlation between modes; empty if it is not inferred."""
+    """Return a list with a clause on the inferred correlation of the discrepancy between modes.
+
+    The list is empty if no correlation is inferred.
+    """
     number = settings.get("correlation", {}).get("inferred", -1)
     if number < 0:
         return []

@@ -40,11 +40,12 @@ class Check:
     sentence : str
         The evidence of this check against the model, in one sentence.
     why_not : str
-        Why the check could not have revealed any error; otherwise empty.
+        Why the check could not have revealed any error; empty if it could.
     below, above : float
-        Relative frequency errors, measured over predicted minus one, beyond which the check fails; otherwise NaN.
+        Relative frequency errors, measured over predicted minus one, beyond which a check of a mode fails; NaN for
+        other checks.
     dependence : str
-        A dependence on order, covariate or group that contradicts the parameter's law; otherwise empty.
+        A dependence on order, covariate or group that contradicts the parameter's law; empty if there is none.
     """
 
     kind: str
@@ -72,13 +73,13 @@ def level_of(checks: Sequence[Check]) -> float:
 
 
 def beyond(below: float, above: float) -> str:
-    """Return ``"below -8.2 % or above +9.6 %"``, without the lower limit if it is -100 % or less."""
+    """Format two limits, as in ``"below -8.2 % or above +9.6 %"``. A lower limit of -100 % or less is left out."""
     upper = f"above {change(above)}"
     return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
 
 def probability(p: float) -> str:
-    """Format a p-value with one significant digit, such as ``"p = 0.003"`` or ``"p < 1e-300"``."""
+    """Format a p-value with one significant digit: ``"p = 0.003"`` or ``"p < 1e-300"``."""
     return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
 
 

@@ -91,7 +91,10 @@ _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the G
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return all checks of a run; empty if it uses the modal residual, which is not a measured quantity."""
+    """Return all checks of a run.
+
+    The list is empty if the run uses the modal residual, which is not a measured quantity.
+    """
     of_each, of_laws = _levels(trace)
     found = [check for kind in _kinds(trace) for check in kind(of_each)]
     found += population_checks(trace, of_laws) if _has_laws(trace) else []
@@ -161,7 +164,10 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Check each mode by its prediction or, without one, by its residuals; return one `Check` per mode."""
+    """Check each mode by its prediction from other modes or, if there is none, by its residuals.
+
+    Return one `Check` per mode.
+    """
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
@@ -200,7 +206,7 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
 
 
 def _limits(row: pd.Series, level: float) -> tuple[float, float]:
-    """Return the lower and upper frequencies, Hz, whose two-sided tail probability is `level`.
+    """Return the lower and upper frequencies, Hz, at which the two-sided tail probability is `level`.
 
     Each tail is assumed to have the shape of the error distribution, scaled to the 90 % interval end on its side.
     This is exact if the predictive distribution has that shape. If the measured frequency lies outside the
@@ -308,7 +314,7 @@ def _follows(trace: xr.DataTree, larger: float) -> str:
 
 
 def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
-    """Return the factor on all residuals at which the mean tail probability of Σ r² falls to `limit`."""
+    """Return the factor on all residuals that would reduce the mean tail probability of Σ r² to `limit`."""
     few = squares[:: -(-len(squares) // _FEW)]
     low, high = -12.0, 12.0  # bounds of the natural logarithm of the factor
     for _ in range(40):
@@ -368,7 +374,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return a clause that says the prior let the noise grow enough to hide a misfit; empty if it did not."""
+    """Return a clause if the prior lets the noise grow enough to hide a misfit, otherwise an empty string."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE

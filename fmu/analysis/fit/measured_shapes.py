@@ -47,10 +47,10 @@ def paired_mac(trace: xr.DataTree) -> list[tuple[str, float, float]]:
 
 
 def shape_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on each mode whose MAC with its measured shape is below `ALIKE` after updating.
+    """Return a sentence on each mode whose MAC with the measured shape is below `ALIKE` after updating.
 
-    If the size of the shape errors is inferred, it grows until any mode shape is probable, and no prediction shows
-    the misfit.
+    If the size of the shape errors is inferred, it grows until any mode shape is probable, and predictions do not
+    show the misfit.
     """
     return [
         f"mode {mode} does not match the measured shape: MAC {fixed(before, 2)} before and {below(after)} after "

@@ -54,11 +54,11 @@ class ModelFit:
     n_data, n_parameters : int
         Number of independent measured values used in updating, and number of parameters, inferred noise included.
     left_out : str
-        Measured quantities that no check covers, because their residuals have no known distribution; otherwise
-        empty.
+        Measured quantities that no check covers, because their residuals have no known distribution; empty if
+        there are none.
     scatter : tuple of str
-        Sentences on the size of the model discrepancy, one per scatter of parameters between modes; otherwise
-        empty.
+        Sentences on the size of the model discrepancy, one for each scatter of parameters between modes; empty if
+        the model has none.
     remedy : str
         How to allow for the discrepancy of a contradicted model; empty if no further remedy is known.
     """
@@ -92,7 +92,7 @@ class ModelFit:
 
     @property
     def counts(self) -> str:
-        """Numbers of data and parameters in words: ``"10 data, 11 parameters"``."""
+        """Numbers of data and of parameters in words: ``"10 data, 11 parameters"``."""
         return f"{self.n_data} data, {self.n_parameters} parameter{'' if self.n_parameters == 1 else 's'}"
 
     @property

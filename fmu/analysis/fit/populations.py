@@ -66,7 +66,7 @@ def population_group(
 
     If a population is correlated in time, ``innovation`` has its innovations at the last draw
     (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the probability that a
-    test is an outlier, and ``outlier_of`` the probability that its score in a population is.
+    test is an outlier, and ``outlier_of`` is the probability that it is an outlier of one population.
 
     Parameters
     ----------

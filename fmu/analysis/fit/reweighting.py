@@ -1,4 +1,4 @@
-"""Estimate, from draws without model discrepancy, how much the parameters would scatter, and its effect."""
+"""Estimate, from draws without model discrepancy, the scatter of the parameters and its effect on them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def estimated_scatter(trace: xr.DataTree) -> str:
 
 
 def by_draws(trace: xr.DataTree) -> Estimate | None:
-    """Estimate the scatter from the draws, weighted by the density with scatter over the density without.
+    """Estimate the scatter from the draws, importance-weighted by the ratio of densities with and without scatter.
 
     Let r_i be the residuals in standard deviations of the measurement, g_i = Σ_k (∂r_i/∂ln θ_k)² at the maximum,
     and p the half-normal prior of τ. The density ratio at a draw is then the integral of p(τ) Π_i (1 + τ²
@@ -86,7 +86,7 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
     Returns
     -------
     Estimate or None
-        None if the residuals are not those of frequencies alone, their derivatives are unknown, or the weights are
+        None if there are residuals other than of frequencies, their derivatives are unknown, or the weights are
         not reliable (Pareto k, ESS).
     """
     linear = _linearise(trace)

@@ -93,7 +93,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and 90 % interval ends of the
           measurement predicted from the other modes, noise included, Hz;
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
-        - ``freedom``: degrees of freedom of its error, infinite unless a few tests gave the size of the error;
+        - ``freedom``: degrees of freedom of the measurement error's Student distribution; infinite for a Gaussian;
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz;
         - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;
@@ -297,7 +297,7 @@ def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOu
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws) -> HeldOut:
-    """Return the posterior's prediction of mode `k`, which was not used in updating."""
+    """Return the prediction of mode `k`, which was not used in updating, from the posterior draws."""
     log_p = _log_likelihood(with_mode(problem, k), draws) - _log_likelihood(problem, draws)
     row = _by_posterior(k, draws, log_p, trace["posterior"].sizes["chain"], walkers_of(trace))
     return row._replace(method=NOT_USED)
@@ -399,7 +399,7 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
 
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the `leave_one_out` table from the log-likelihood at the draws, without a problem to refit."""
+    """Return the `leave_one_out` table computed only from the log-likelihoods stored in a trace."""
     smoothed = smooth_weights(trace)
     measured = trace["observed_data"]["frequency"].to_numpy()
     rows = []

@@ -99,7 +99,7 @@ class LeftOut:
 
     @property
     def effective(self) -> float:
-        """Kish's effective sample size of the draws for the leave-one-out posterior."""
+        """Kish's effective sample size of the draws when they are weighted for the leave-one-out posterior."""
         return effective_size(self.log_weights[0])
 
     @property
@@ -109,7 +109,7 @@ class LeftOut:
 
     @property
     def is_known(self) -> bool:
-        """Whether the elpd is accurate enough."""
+        """Whether the standard error of the elpd is small enough."""
         return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
 
 

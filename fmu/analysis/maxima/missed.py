@@ -80,7 +80,7 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return how far a Gaussian's log-density drops from its peak to the ellipsoid with probability `NEARBY`.
+    """Return the drop in a Gaussian's log-density from its peak to the ellipsoid with probability `NEARBY`.
 
     The drop is half the χ² quantile with ndim degrees of freedom.
     """
@@ -88,7 +88,7 @@ def _reach(theta: FloatArray) -> float:
 
 
 def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
-    """Return sentences on maxima with mass that a run never came near, or visited out of proportion.
+    """Return sentences on maxima with mass that a run missed, or visited out of proportion.
 
     Parameters
     ----------
@@ -310,7 +310,13 @@ def missed_places(
 
 
 class _Paths:
-    """Thinned draws, one path per chain or walker: position (paths, steps, ndim), log_prob (paths, steps)."""
+    """Thinned draws, with one path per chain or walker.
+
+    Attributes
+    ----------
+    position : ndarray, shape (paths, steps, ndim)
+    log_prob : ndarray, shape (paths, steps)
+    """
 
     def __init__(self, trace: xr.DataTree) -> None:
         walkers = walkers_of(trace)
@@ -322,7 +328,7 @@ class _Paths:
         self.position: FloatArray = position[:, :, ::every].reshape(*self.log_prob.shape, -1).astype(float)
 
     def metric(self) -> FloatArray:
-        """Return W such that Wᵀ C W = I, where C is the covariance within the paths; shape (ndim, ndim)."""
+        """Return W with Wᵀ C W = I, where C is the covariance within the paths, shape (ndim, ndim)."""
         ndim = self.position.shape[2]
         within = (self.position - self.position.mean(axis=1, keepdims=True)).reshape(-1, ndim)
         covariance = within.T @ within / len(within)

@@ -32,7 +32,7 @@ class ModeWeight:
     effective : float
         ESS of the estimate; 0 for the Laplace approximation, which evaluates no densities.
     log_reach : float
-        Logarithm of the mass that the maximum's quadratic model covers; it equals `log_mass` unless other models
+        Logarithm of the mass that the maximum's quadratic model covers. It equals `log_mass` unless other models
         divide the draws (argument `basins` of `mode_weights`).
     """
 

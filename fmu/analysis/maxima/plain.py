@@ -53,9 +53,10 @@ prior."""
 
 
 class PlainDensity:
-    """A plain log-density with the updating-problem attributes that the search for maxima needs; it has no modes.
+    """Adapts a plain log-density to the search for maxima, which expects an updating problem.
 
-    The search avoids points at which the log-density is not finite. Evaluations are counted as solves.
+    The search avoids points at which the log-density is not finite. Evaluations are counted as solves. There are
+    no modes.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ class PlainDensity:
     Attributes
     ----------
     region : str
-        Region from which the starting points of the search are drawn, in words.
+        Description of the region from which the starting points of the search are drawn.
     is_bounded : bool
         Whether bounds or a prior limit the region in which maxima can lie.
     """
@@ -168,7 +169,7 @@ class PlainDensity:
         return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"
 
     def doubts(self, best: Maxima, found: Sequence[Maximum], is_spent: bool) -> tuple[str, ...]:
-        """Return the reasons why the search does not exclude other maxima, one sentence each.
+        """Return the reasons why there may be other maxima than those found, one sentence each.
 
         If every maximum was reached from at least two starting points, further starting points would hardly find
         another one (Good 1953, Biometrika 40, 237-264). If one was reached only once, there may well be more.

@@ -195,7 +195,7 @@ class Maxima:
 
     @property
     def log_evidence_error(self) -> float:
-        """Standard error of `log_evidence` from the importance weights; NaN without importance weights."""
+        """Standard error of `log_evidence` from the importance weights, or NaN if there are none."""
         weighed = [m for m in self.maxima if m.effective_draws > 0]
         if not weighed:
             return np.nan
@@ -235,7 +235,7 @@ class Maxima:
         return table
 
     def words_at_bounds(self, maximum: PosteriorMaximum) -> str:
-        """Return a maximum's active bounds in words: ``"Ix2 upper, Ax1 upper"``; empty if none is active."""
+        """Return a maximum's active bounds in words, as in ``"Ix2 upper, Ax1 upper"``, or "" if none is active."""
         side = {-1: "lower", 1: "upper"}
         return ", ".join(
             f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
@@ -292,7 +292,7 @@ class Maxima:
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
 
     def title(self, k: int) -> str:
-        """Return the title of maximum `k`: ``"maximum 1"``, or for example ``"jump 2"`` if it is not a maximum."""
+        """Return the title of maximum `k`, such as ``"maximum 1"``, or ``"jump 2"`` if it is not a maximum."""
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
     def no_maxima(self) -> list[str]:

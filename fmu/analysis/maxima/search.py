@@ -56,7 +56,7 @@ _KNOWN: WeakKeyDictionary[LogDensity, dict[tuple[int, int, float], Maxima]] = We
 def default_starts(problem: UpdatingProblem) -> int:
     """Return the default number of starting points.
 
-    It is smaller if gradients are finite differences, or if a solve takes milliseconds because a large model is
+    There are fewer if gradients are finite differences, or if a solve takes milliseconds because a large model is
     not reduced, or is reduced to many unknowns.
     """
     if problem.solves_per_gradient > 1:
@@ -194,9 +194,9 @@ def _weigh(
     most: float = np.inf,
     draws: int = DRAWS,
 ) -> Maxima:
-    """Compute the curvature and mass of the maxima found.
+    """Compute the curvature and mass of each maximum found.
 
-    `solved` and `differentiated` count the solves and gradients so far. If the solves are limited to
+    `solved` and `differentiated` are the numbers of solves and gradients so far. If the solves are limited to
     `most`, the curvature is the Gauss–Newton matrix, and the remaining solves are spent on the mass.
     """
     theta = np.array([maximum.theta for maximum in found])
@@ -292,7 +292,7 @@ _SMOOTH = 0.3
 def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = False) -> tuple[FloatArray, str]:
     """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and how it was computed.
 
-    The Hessian is computed from differences of the exact gradient, one-sided at the bounds. Their step is a
+    The Hessian is computed from differences of the exact gradient, one-sided at the bounds. The step is a
     twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero. Where modes swap, the
     gradient jumps, and differences with another step disagree. For modal errors the Gauss–Newton matrix is then
     used: JᵀJ of the residuals plus the curvature of the prior. It may be ten times too small if residuals are

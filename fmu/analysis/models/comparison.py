@@ -54,7 +54,7 @@ class ModelComparison:
     table : pandas.DataFrame
         One row per model, with the columns that `fmu.compare_models` describes.
     sentences : tuple of str
-        What the table shows, and what it does not.
+        Sentences that interpret the table and state its limits.
     """
 
     table: pd.DataFrame

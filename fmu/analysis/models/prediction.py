@@ -55,7 +55,7 @@ def predict_modes(
     change : Change, optional
         Masses and springs that are added.
     factors : mapping of str to float, optional
-        Factors on parameters, by name: 0.8 for a stiffness that has lost 20 %.
+        Factors on parameters, keyed by parameter: 0.8 for a stiffness that has lost 20 %.
     test : str, optional
         Name of the test whose parameters the structure has, such as a test of the damaged state; required if there
         are several tests.
@@ -97,7 +97,10 @@ def predict_modes(
 
 
 def _index_of(problem: UpdatingProblem, test: str | None) -> int:
-    """Return the index of a test by name; None means the only test. Raise ValueError for an unknown test."""
+    """Return the index of the test with a given name, or 0 for the only test if the name is None.
+
+    Raise ValueError for an unknown name, or if the name is None and there are several tests.
+    """
     names = [one.name for one in problem.tests]
     if test is None and len(names) == 1:
         return 0

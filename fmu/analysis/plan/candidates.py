@@ -46,7 +46,7 @@ class Candidates:
         return [int(row) for k in chosen for row in self.groups[k] if row >= 0]
 
     def places(self, structure: SeparableModel) -> FloatArray | None:
-        """Return the coordinates of the candidates in m, (n_candidates, 3), or None if any of them is unknown."""
+        """Return the coordinates of the candidates in m, (n_candidates, 3), or None if a coordinate is unknown."""
         if structure.geometry is None:
             return None
         nodes, row_of = np.asarray(structure.geometry.nodes), structure.geometry.row_of
@@ -127,7 +127,7 @@ def find_candidates(
 def _places(structure: SeparableModel) -> set[Any]:
     """Return all places of a structure, including fixed ones, which have no free degrees of freedom.
 
-    These are the drawn points, the ends of rigid arms, and the places whose motion is known.
+    These are the drawn points, the ends of rigid arms, and the places with constrained motion.
     """
     drawn = set() if structure.geometry is None else set(structure.geometry.row_of)
     return drawn | set(structure.arms) | {place for place, _ in structure.motions}

@@ -59,7 +59,7 @@ class Wishes:
 
     @property
     def of_sensors(self) -> tuple[Sequence[Dof], Collection[Any], bool, Mapping[Any, float]]:
-        """Arguments of `find_candidates` from `mounted` onwards."""
+        """Arguments `mounted`, `exclude`, `triaxial` and `costs` of `find_candidates`."""
         return self.mounted, self.exclude, self.triaxial, self.costs
 
 
@@ -193,7 +193,7 @@ def _own_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Return the candidates of a model without matrices, which are the sensors of the problem's data."""
+    """Return the candidates of a model that has no matrices, which are the sensors of the problem's data."""
     own = before.data.sensors
     if not (before.model.gives_shapes and own):
         rule = "must give shapes at the sensors of its data, which are the candidates of a model without matrices"

@@ -106,7 +106,7 @@ def plan(
         Purpose of the test, if not all parameters matter equally: parameter names, a combination as weights by
         name, a prediction that maps theta (n, ndim) to (n,), or a decision about damage (`fmu.DamageTarget`).
     changes : mapping of str to Change, optional
-        Known structural changes for a second test, by name.
+        Known structural changes, each for a second test, keyed by name.
     place_names : mapping of place to str, optional
         Names of places in tables and files, for example of numbered nodes.
     like : str, optional

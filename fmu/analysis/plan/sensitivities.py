@@ -72,8 +72,8 @@ class Sensitivities:
         Solves of the model, or calls of a user's function.
     certificate : Certificate or None
     kept : ndarray of bool, shape (n_draws,), or None
-        Mask of the draws in `seen`; at the others a solve failed or a mode had no derivative. None if all draws
-        are there.
+        Mask of the draws in `seen`. At the other draws a solve failed or a mode had no derivative. None if `seen`
+        has all draws.
     """
 
     seen: ModalPrediction

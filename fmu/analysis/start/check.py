@@ -67,7 +67,7 @@ class Check:
     prior : PriorPrediction
         Prior prediction of the measured frequencies.
     rounding : str
-        A warning if the matrices have too few digits; otherwise empty.
+        A warning if the matrices have too few digits, otherwise empty.
     drawing : str
         The structure as SVG; empty if it has no geometry or too many elements.
     colours : tuple of (str or None)
@@ -338,7 +338,7 @@ def check(
 
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
-    """Return a list with a sentence on the parameters that are neither updated nor scatter; empty if none."""
+    """Return a list with a sentence on the parameters that are neither updated nor scatter, if there are any."""
     likelihood = discrepant_likelihood(problem)
     scattered = [] if likelihood is None else likelihood.errors.scattered.tolist()
     idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]
@@ -350,7 +350,7 @@ def _without_purpose(problem: UpdatingProblem) -> list[str]:
 
 
 def _tolerance(problem: UpdatingProblem) -> float | None:
-    """Return the largest relative frequency error allowed in the reduced model, or None if it is not reduced."""
+    """Return the reduced model's largest allowed relative frequency error, or None without a reduced model."""
     return None if problem.tolerance is None else problem.tolerance.frequency
 
 

@@ -88,7 +88,7 @@ class InitialModes:
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def subspace_mac(self, k: int) -> float:
-        """Return the subspace MAC of measured mode `k` and its close neighbours; NaN if it has none."""
+        """Return the subspace MAC of measured mode `k` and the modes close to it, or NaN if there are none."""
         return np.nan if self.correlation is None else self.correlation.subspace.get(k, np.nan)
 
     def table(self) -> pd.DataFrame:
@@ -276,7 +276,10 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution,
 def _find_seen(
     model: PairedStructure, shapes: FloatArray, observation: csr_array | None, eigenvalues: FloatArray
 ) -> BoolArray:
-    """Return a mask (n_modes,) of the elastic modes that move a sensor or, without sensors, any translation."""
+    """Return a mask (n_modes,) of the elastic modes that move a sensor.
+
+    If there are no sensors, these are the modes with any translation.
+    """
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)
     elastic = ~is_rigid(eigenvalues)

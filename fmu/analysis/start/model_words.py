@@ -1,4 +1,4 @@
-"""Descriptions in words of a problem's model and of what each parameter changes."""
+"""Describe a problem's model in words, and the quantities that each parameter changes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _describe_held(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return a table of the parameters: unit, starting value, bounds, prior, and the quantities changed, in words.
+    """Return a table that describes each parameter: unit, starting value, bounds, prior, and what it changes.
 
     The test scores of a population are omitted, because all of them are standard normal.
     """

@@ -237,7 +237,7 @@ def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, .
 
 
 def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
-    """Return a dataset of the sampler's statistics, except the log-likelihoods at tempered rungs.
+    """Return a dataset of the sampler's statistics, without the log-likelihoods at tempered rungs.
 
     Mixture weights P/q are converted to densities in SI units.
     """
@@ -281,7 +281,7 @@ def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
 def _frequency_groups(
     result: RunResult, problem: Any, frequency: FloatArray | None = None
 ) -> dict[str, xr.Dataset]:
-    """Return the groups that need computed frequencies; each distinct draw is solved once."""
+    """Return the trace groups that need computed frequencies. The model is solved once for each distinct draw."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}

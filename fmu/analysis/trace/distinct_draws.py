@@ -17,7 +17,7 @@ _NUMBERS = 2**18
 
 
 def batch_of(theta: FloatArray) -> int:
-    """Return the number of draws to evaluate in one batch; it is smaller if theta (n, ndim) has many columns."""
+    """Return the number of draws of theta (n, ndim) to evaluate in one batch, fewer if ndim is large."""
     return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
 
 

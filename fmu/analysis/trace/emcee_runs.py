@@ -161,6 +161,6 @@ def _parameter_names(given: Any) -> tuple[str, ...]:
 
 
 def _moves(source: Any) -> tuple[tuple[str, float], ...]:
-    """Return the names and weights of a sampler's moves; empty if they are unknown."""
+    """Return the names and weights of a sampler's moves, or an empty tuple if they are unknown."""
     pairs = zip(getattr(source, "_moves", ()), getattr(source, "_weights", ()), strict=False)
     return tuple((type(move).__name__, float(weight)) for move, weight in pairs)

@@ -216,7 +216,10 @@ def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnse
 
 
 def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
-    """Return the number of steps to discard from each of `n` ensembles. Raise ValueError for a wrong count."""
+    """Return the number of steps to discard from each of `n` ensembles.
+
+    Raise ValueError if `discard` does not have one number, or one for each ensemble.
+    """
     each = list(discard) if isinstance(discard, Sequence | np.ndarray) else [discard] * n
     if len(each) != n:
         raise ValueError(f"discard: must be one number, or one for each of {n} ensembles (got {len(each)})")
@@ -338,7 +341,7 @@ def _check_log_prob(
 
 
 def _count_evaluations(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.DataTree) -> xr.Dataset:
-    """Return a dataset of emcee's acceptance fractions, autocorrelation times and step counts."""
+    """Return a dataset with emcee's acceptance fractions, autocorrelation times and step counts."""
     import xarray as xr
     from emcee.autocorr import integrated_time
 

@@ -65,7 +65,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     ----------
     problem : UpdatingProblem
     states : mapping of str to array_like, shape (ndim,)
-        Parameter vectors in SI units, by name; mode shapes are compared with those of the first state.
+        Parameter vectors in SI units, keyed by state. Mode shapes are compared with the first state's.
 
     Returns
     -------

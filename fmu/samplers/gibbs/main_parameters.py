@@ -126,7 +126,11 @@ class MovesOfMain:
     def move_dates(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, dict[str, AnyArray]]:
-        """Propose dates and losses of sudden events; return theta, log-likelihood terms and statistics."""
+        """Propose new dates and losses of each sudden event, and accept or reject them after a solve of all tests.
+
+        Return theta, the log-likelihood terms (chains, n_terms) and statistics, which are empty if there are no
+        events.
+        """
         given, shares = self.conditionals.scores, []
         for event in self.conditionals.events:
             moved, gain = event.propose(rng, given, theta, scales)

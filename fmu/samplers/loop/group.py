@@ -172,7 +172,7 @@ def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, 
 
 
 class _GroupRunner:
-    """A group of chains during a chunk of its work.
+    """Runs a group of chains for one chunk of its work.
 
     Parameters
     ----------

@@ -317,6 +317,8 @@ def run(
 def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
     """Return the number of groups into which the chains are divided.
 
+    If `groups` is None, each ensemble forms a group of its own, but ordinary chains form one group.
+
     Raises
     ------
     ValueError
@@ -335,7 +337,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
 
 
 def _check_same(context: RunContext, group: GroupState) -> None:
-    """Raise ValueError unless the density still gives the values that were saved with the chains."""
+    """Raise ValueError unless the density, evaluated again, gives the values that were saved with the chains."""
     then, now = evaluate_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)

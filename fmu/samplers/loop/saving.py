@@ -40,7 +40,7 @@ class TooManyFailuresError(RunFailedError):
 
 
 class SavedGroup(NamedTuple):
-    """Data about a group of chains as last saved.
+    """Data of a group of chains when it was last saved.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class SavedGroup(NamedTuple):
 
 
 class PendingGroup(NamedTuple):
-    """Data about a group of chains that have yet to be saved.
+    """Data of a group of chains that are yet to be saved.
 
     Attributes
     ----------

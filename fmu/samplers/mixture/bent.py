@@ -63,9 +63,9 @@ class BentGaussians:
         return np.asarray(self.means[k] + t @ self.axes[k].T)
 
     def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
-        """Return the weighted log-densities of the Gaussians at points x, shape (n_factors, k, n).
+        """Return the weighted log-density of each Gaussian at points x (n, ndim), shape (n_factors, k, n).
 
-        The widths of all Gaussians are multiplied by each of the factors in `wider` in turn.
+        The first axis is for the factors in `wider`, by which the widths of all Gaussians are multiplied.
         """
         ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
         for k, weight in enumerate(self.weights):

@@ -93,7 +93,7 @@ class MixtureSampler(Sampler):
 
     @property
     def gradient(self) -> str:
-        """How `local` computes its gradients; an empty string if `local` is not given."""
+        """How `local` computes its gradients, or an empty string if `local` is not given."""
         return "" if self.local is None else self.local.gradient
 
     @property

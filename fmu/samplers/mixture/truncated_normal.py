@@ -61,7 +61,7 @@ class SequentialNormal:
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the log-density of the draws, shape (n,), at points u (n, ndim) within the bounds."""
+        """Return the log of the density q at points u (n, ndim) within the bounds, shape (n,)."""
         z = np.linalg.solve(self.L, (u[:, self.order] - self.mean).T).T
         log_q = -0.5 * np.sum((z - self.tilt) ** 2, axis=1)
         log_q -= np.sum(np.log(np.diag(self.L))) + len(self.mean) * _LOG_ROOT_2PI

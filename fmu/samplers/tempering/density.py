@@ -157,5 +157,5 @@ class TemperedTarget(ExactGradient):
 
 
 def _replace_failures(log_likelihood: FloatArray) -> FloatArray:
-    """Replace log-likelihoods that are not finite by −inf; they are not finite where the model failed."""
+    """Replace log-likelihoods that are not finite, which mark failures of the model, by −inf."""
     return np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf)

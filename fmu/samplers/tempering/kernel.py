@@ -19,7 +19,7 @@ LOG_LIKELIHOOD = "rung_log_likelihood"
 
 @dataclass(frozen=True)
 class TemperingKernel:
-    """Parallel-tempering kernel bound to a density, with one of the `kernels` for each rung above the prior.
+    """Parallel-tempering kernel bound to a density. `kernels` has one kernel for each rung above the prior.
 
     The extra arrays of the State are:
 

@@ -119,7 +119,10 @@ class Tempering(Sampler):
         return TemperingKernel(parts, t, bound, self.swap_every)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
-        """Return a tuner that learns ladder and kernels in `steps` warm-up steps, or None if both are given."""
+        """Return a tuner that learns the ladder and the kernels' settings in `steps` warm-up steps.
+
+        Return None if both are given.
+        """
         learns = not self._is_by_rung and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 

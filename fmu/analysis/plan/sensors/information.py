@@ -103,7 +103,10 @@ class Readings:
         return np.asarray(whole @ np.linalg.qr(W)[0])
 
     def _factors(self, state: State) -> tuple[FloatArray, FloatArray | None]:
-        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V; D is None without a target."""
+        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V.
+
+        D is None if there is no target.
+        """
         L = np.linalg.cholesky(state.matrix)
         C = np.swapaxes(np.linalg.inv(L), 1, 2)
         if self.target is None:
@@ -129,16 +132,16 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Information from the sensors placed so far, at each draw; the module docstring defines the symbols.
+    """Information from the sensors placed so far, at each draw. The module docstring defines the symbols.
 
     Attributes
     ----------
     matrix : ndarray, shape (n, p, p)
         Information matrix A.
     lost : ndarray, shape (n, modes, p)
-        b of each mode.
+        The vector b of each mode.
     size : ndarray, shape (n, modes)
-        N of each mode.
+        The number N of each mode.
     """
 
     matrix: FloatArray

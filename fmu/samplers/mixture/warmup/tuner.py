@@ -104,7 +104,7 @@ class MixtureTuner:
 
     @property
     def gaussians(self) -> Mixture | None:
-        """The current mixture if further fits can refine it; None if it is curved or there is none yet."""
+        """The current mixture if further fits can refine it. None if it is curved, or before the first fit."""
         return None if self.mixture is None else self.mixture.gaussians
 
     @property
@@ -254,7 +254,7 @@ class MixtureTuner:
 
     @property
     def _has_walked(self) -> bool:
-        """Whether there are enough local steps and evaluations to show the density roughly."""
+        """Whether there were enough local steps and evaluations to show roughly where the density is high."""
         return self.walk[0] >= _LEAST_WALK and self.walk[1] >= _WALK_SOLVES
 
     def _choose_steps(self, state: State) -> IntArray | None:
@@ -362,7 +362,7 @@ class MixtureTuner:
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
         """Return the mixture with its final fraction of wider copies.
 
-        It is `wide` if given, otherwise `LESS_WIDE` if the fit is good with it; otherwise it is unchanged.
+        The fraction is `wide` if given. Otherwise it becomes `LESS_WIDE` if the fit is good enough for it.
         """
         if self.sampler.wide is not None:
             return mixture.with_wide(self.sampler.wide)
