@@ -77,7 +77,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     Returns
     -------
     float
-        At most 1 if all of them suffice; NaN if any of them is undefined.
+        At most 1 if ESS and standard errors already suffice; NaN if one of them is undefined.
     """
     table = without_scores(table)
     limits = {"mcse_mean": MCSE_LIMIT, **dict.fromkeys(MCSE_OF_ENDS, MCSE_LIMIT_OF_ENDS)}

@@ -52,7 +52,10 @@ class Design:
 
     @property
     def largest(self) -> FloatArray:
-        """Largest absolute component of each mode shape at the candidates, (n, 1, modes); spare modes included."""
+        """Largest absolute component of each mode shape at the candidates, shape (n, 1, modes).
+
+        Spare modes are included.
+        """
         return np.max(np.abs(self.found.seen.shapes), axis=1, keepdims=True)
 
     def frequency_information(self, modes: Sequence[int], sd: FloatArray) -> FloatArray:
@@ -70,9 +73,10 @@ class Design:
         shape_sd: float | None = None,
         prior: FloatArray | None = None,
     ) -> Readings:
-        """Return the linearised `Readings` of the candidates, optionally for other modes and errors.
+        """Return the linearised `Readings` of the candidates for a test that may differ from the design.
 
-        `prior` is the information before the test, shape (n, p, p). It defaults to the identity matrix.
+        Modes and errors that are None are those of the design. `prior` is the information before the test, shape
+        (n, p, p). It defaults to the identity matrix.
         """
         seen, picked = self.found.seen, list(self.modes if modes is None else modes)
         assert seen.shape_slopes is not None  # for the type checker

@@ -59,7 +59,7 @@ def _describe_held(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return a table that describes each parameter: unit, starting value, bounds, prior, and what it changes.
+    """Return a table of each parameter's unit, starting value, bounds, prior, and the quantities that it changes.
 
     The test scores of a population are omitted, because all of them are standard normal.
     """

@@ -19,8 +19,8 @@ their scores, and then the share of outliers. The rest of the step is conditiona
 5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
    for once more.
 
-If the model has a discrepancy, its errors are common to all tests. Steps 1 to 4 are then conditional on these errors,
-and step 5 is part of `fmu.samplers.gibbs.errors_of_model`.
+If the model has a discrepancy, its errors are common to all tests. Steps 1 to 4 are then conditional on these
+errors, and step 5 is part of `fmu.samplers.gibbs.errors_of_model`.
 
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step

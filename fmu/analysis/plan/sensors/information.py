@@ -58,7 +58,10 @@ class Readings:
         return State(self.prior, np.zeros((n, m, p)), np.zeros((n, m)))
 
     def with_sensors(self, chosen: Sequence[int], state: State | None = None) -> State:
-        """Return the information in `state`, or before any sensor, after adding the candidates in `chosen`."""
+        """Return the information after sensors at the candidates in `chosen` are added.
+
+        `state` is the information before. By default there are no sensors yet.
+        """
         found = self.start() if state is None else state
         for k in chosen:
             for row in self.groups[k][self.groups[k] >= 0]:
