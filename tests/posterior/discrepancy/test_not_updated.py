@@ -74,7 +74,8 @@ def test_a_value_that_is_wrong_has_a_larger_scatter():
 
 def test_a_run_and_what_is_said_of_it():
     problem = problem_of(fmu.Discrepancy(groups=("k2",), correlation="inferred"))
-    trace = fmu.sample(problem, "mh", draws=40, warmup=40, chains=2, seed=1)
+    maxima = fmu.find_map(problem, starts=16)
+    trace = fmu.sample(problem, "mh", draws=40, warmup=40, chains=2, seed=1, maxima=maxima)
     assert list(fmu.summary(trace).index) == ["k1", "k3", "k4", "tau", "tau correlation"]
     of_scatter, of_correlation = scatter_sentences(trace)
     assert of_scatter.startswith("k2: a scatter over the modes, tau, of ")

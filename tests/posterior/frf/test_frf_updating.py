@@ -27,7 +27,8 @@ TIP, BASE = POINTS
 def update(data, seed=1, **options):
     own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()), **options)
     problem = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
-    return problem, fmu.sample(problem, "mixture", draws=200, warmup=100, seed=seed)
+    maxima = fmu.find_map(problem, starts=16)
+    return problem, fmu.sample(problem, "mixture", draws=200, warmup=100, seed=seed, maxima=maxima)
 
 
 def scores(trace):

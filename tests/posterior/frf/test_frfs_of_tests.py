@@ -190,7 +190,8 @@ def damaged():
     tests = [fmu.Test("may", its_modes, "sound"), fmu.Test("june", other_modes, "damaged")]
     varies = {name: fmu.Damage() for name in NAMES}
     problem = fmu.JointProblem(building(), tests, parameters(), varies=varies, error=error)
-    return problem, fmu.sample(problem, "mixture", draws=200, warmup=100, seed=1)
+    maxima = fmu.find_map(problem, starts=16)
+    return problem, fmu.sample(problem, "mixture", draws=200, warmup=100, seed=1, maxima=maxima)
 
 
 def test_a_loss_is_found_and_the_others_are_quiet(damaged):

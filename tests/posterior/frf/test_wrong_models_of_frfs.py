@@ -114,7 +114,8 @@ def wrong():
 
 
 def sampled(problem):
-    return fmu.sample(problem, "mixture", draws=300, warmup=100, seed=1)
+    maxima = fmu.find_map(problem, starts=16)
+    return fmu.sample(problem, "mixture", draws=300, warmup=100, seed=1, maxima=maxima)
 
 
 def far(trace):
