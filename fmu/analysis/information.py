@@ -260,7 +260,7 @@ def compared_with_draws(
     place : str
         The point of linearisation in words: ``"the start"``.
     n_maxima : int
-        Number of maxima that hold a share of the probability.
+        Number of maxima with a significant probability.
     converged : bool
         Whether the draws are reliable.
     """
