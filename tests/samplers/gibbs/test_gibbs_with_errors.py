@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import fmu
-from fmu.analysis.convergence.rank_statistics import chain_ess
+from fmu.posterior.joint.conditional.both import scatter_about_typical
+from fmu.samplers.gibbs import errors_of_model
+from fmu.samplers.kernel import State
 from tests.shear_building import frequencies_hz, shear_building
 
 KINDS = {
@@ -14,7 +17,7 @@ KINDS = {
 }
 
 
-def contradicted(kind):
+def contradicted(kind, varies=("k1",), **options):
     """Return the problem of three tests of two storeys, whose second mode is 10 % higher than the model has it."""
     rng, model = np.random.default_rng(7), shear_building(["k1", "k2"], 2e8, 1e5)
     k = np.stack([1.0 + 0.1 * rng.standard_normal(3), np.full(3, 1.1)], axis=1)
@@ -23,28 +26,58 @@ def contradicted(kind):
         model,
         [fmu.Test(f"t{t}", fmu.ModalData(one * [1.0, 1.1])) for t, one in enumerate(f)],
         [fmu.Parameter(name, 1.0, 0.5, 1.6, prior=fmu.Normal(0.1, mean=1.0)) for name in ("k1", "k2")],
-        varies={"k1": fmu.Population(sd=fmu.HalfNormal(0.1))},
+        varies=dict.fromkeys(varies, fmu.Population(sd=fmu.HalfNormal(0.1))),
         error=fmu.FrequencyErrors("relative", sd=0.03),
         discrepancy=KINDS[kind],
+        **options,
     )
 
 
 @pytest.mark.parametrize(
     "kind", [k if k == "scatter" else pytest.param(k, marks=pytest.mark.validate) for k in KINDS]
 )
-def test_the_posterior_is_that_of_weighted_draws_from_the_prior(kind):
-    problem = contradicted(kind)
-    trace = fmu.sample(problem, fmu.GibbsSampler(step_size=0.4), draws=60, warmup=20, chains=20, seed=1)
-    prior = problem.sample_prior(np.random.default_rng(3), 40_000)
+def test_draws_of_the_posterior_remain_draws_of_the_posterior(kind, monkeypatch):
+    """Draws from the prior, resampled by their likelihood, keep their distribution in a few steps.
+
+    The sizes move only together with the main parameters, so that no other steps make good for errors of these.
+    """
+    monkeypatch.setattr(errors_of_model, "_NOISE_STEPS", 0)
+    problem, rng, n = contradicted(kind), np.random.default_rng(3), 3000
+    prior = problem.sample_prior(rng, 100_000)
     w = np.exp(problem.log_likelihood(prior))
     w /= w.sum()
-    assert 1.0 / np.sum(w**2) > 2000
+    assert 1.0 / np.sum(w**2) > 2 * n
+    theta = prior[np.searchsorted(np.cumsum(w), (np.arange(n) + rng.random()) / n).clip(max=len(prior) - 1)]
+    kernel = fmu.GibbsSampler(step_size=0.4).bind(problem)
+    given, at = kernel.problem.likelihood, problem.layout.of_model(theta)
+    errors = given.draw(rng, given.observed(at), at)
+    extra = {"terms": given.terms(np.concatenate([at, errors], axis=1)), "errors": errors}
+    state = State(kernel.scaled.to_scaled(theta), problem.log_prob(theta), extra=extra)
+    for _ in range(8):
+        state, _ = kernel.step(rng, state)
+    after = kernel.scaled.to_theta(state.position)
     for k, name in enumerate(problem.names):
-        drawn = np.asarray(trace["posterior"][name])
-        assert chain_ess(drawn) > 200, name
-        centre = np.median(drawn)
-        for f in (lambda x: x, lambda x, c=centre: np.log(np.abs(x - c) + 1e-9), np.square):
+        centre = w @ prior[:, k]
+        for f in (lambda x: x, lambda x, c=centre: np.log(np.abs(x - c) + 1e-9), lambda x, c=centre: (x - c) ** 2):
             expected = w @ f(prior[:, k])
             error = np.sqrt(w**2 @ (f(prior[:, k]) - expected) ** 2)
-            error = np.hypot(error, np.std(f(drawn)) / np.sqrt(chain_ess(f(drawn))))
-            assert abs(np.mean(f(drawn)) - expected) < 4.5 * error, name
+            error = np.hypot(error, np.std(f(after[:, k])) / np.sqrt(n))
+            assert abs(np.mean(f(after[:, k])) - expected) < 4.5 * error, name
+
+
+@pytest.mark.parametrize("options", [{"correlation": 1.0}, {"outliers": fmu.Outliers()}])
+def test_steps_with_correlated_populations_and_outliers_keep_to_the_posterior(options):
+    """The log-probability that a step returns is that of its point, and the errors are those of the terms."""
+    problem = contradicted("scatter", ("k1", "k2"), **options)
+    kernel = fmu.GibbsSampler(step_size=0.4).bind(problem)
+    rng = np.random.default_rng(2)
+    start = scatter_about_typical(problem, rng, 6, 1.0)
+    state = kernel.init(kernel.scaled.to_scaled(start))[0]
+    for _ in range(4):
+        state, info = kernel.step(rng, state)
+    theta = kernel.scaled.to_theta(state.position)
+    assert np.all(theta != start, axis=1).all()
+    assert_allclose(state.log_prob, problem.log_prob(theta), rtol=1e-9)
+    assert_allclose(info.log_prob, state.log_prob)
+    both = np.concatenate([problem.layout.of_model(theta), state.extra["errors"]], axis=1)
+    assert_allclose(state.extra["terms"], kernel.problem.likelihood.terms(both), rtol=1e-8)

@@ -159,13 +159,14 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
         theta = first
     s, columns = theta[:, problem.n_structural : problem.ndim], marginal.columns
     if plain.ndim > problem.ndim:
-        scaled, likelihood = ScaledDensity(plain), _given_errors(plain)
-        hessian = GaussNewton(plain)(scaled.to_scaled(theta))[2][0] / np.outer(scaled.scale, scaled.scale)
-        information = hessian[problem.n_structural : problem.ndim, problem.n_structural : problem.ndim]
-        sizes = likelihood.sizes(theta[:, problem.n_structural :])[0]
-        by_errors = (
-            np.linalg.solve(hessian[np.ix_(columns, columns)], _slopes_by_errors(plain, theta)[columns]) / sizes
-        )
+        scaled, of_noise = ScaledDensity(plain), slice(problem.n_structural, problem.ndim)
+        hessian = GaussNewton(plain)(scaled.to_scaled(theta))[2][0]
+        information = (hessian / np.outer(scaled.scale, scaled.scale))[of_noise, of_noise]
+        sizes = _given_errors(plain).sizes(theta[:, problem.n_structural :])[0]
+        # the prior of a correlation has no curvature
+        of_main = hessian[np.ix_(columns, columns)] + np.eye(len(columns))
+        slopes = scaled.scale[columns, None] * _slopes_by_errors(plain, theta)[columns]
+        by_errors = scaled.scale[columns, None] * np.linalg.solve(of_main, slopes) / sizes
     else:
         every = (term.information(s)[0] for term in problem.likelihood.terms_of)
         information, by_errors = sum(every, np.zeros((s.size, s.size))), np.empty((len(columns), 0))
