@@ -1,4 +1,4 @@
-"""The shell commands, which read arguments and write tables and files; the rest of fmu does the computation.
+"""The shell commands. They read arguments and write tables and files; the rest of fmu does the computation.
 
 Reading order: `run`, then `sampled`, which it calls; `compare`, `problems`, `results` and `watch` are the other
 commands. Large libraries are imported only when a command needs them.

@@ -1,4 +1,4 @@
-"""The command ``fmu compare``, which compares several samplers on one problem, or the samplers of a run."""
+"""The command ``fmu compare``, which compares several samplers on one problem, or the samplers in one run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command ``fmu damage``, and terminal tables of the losses between a structure's states."""
+"""The command ``fmu damage``, which prints the losses between a structure's states as tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BEYOND = (0.05, 0.1)
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print, for each later state, the losses with values before and after; warn if these are unreliable."""
+    """Print the losses in each later state, with the values before and after. Warn if they are unreliable."""
     from fmu.analysis.trace.damage import (
         ANY,
         WITHHELD,

@@ -1,4 +1,4 @@
-"""Messages on standard error: errors as one line without a traceback, and warnings from fmu as notes."""
+"""Print messages on standard error: errors on one line without a traceback, and warnings from fmu as notes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 
 
 class _Unbroken:
-    """Wrapper of standard output that discards text once its reader, such as ``head``, has ended."""
+    """Wrapper of standard output that discards text once the program that reads it, such as ``head``, ends."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -30,7 +30,7 @@ class _Unbroken:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text, or discard it if the reader has ended."""
+        """Write text, or discard it if the reading program has ended."""
         try:
             self._stream.write(text)
         except BrokenPipeError:
@@ -38,7 +38,7 @@ class _Unbroken:
         return len(text)
 
     def flush(self) -> None:
-        """Write buffered text, or discard it if the reader has ended."""
+        """Write buffered text, or discard it if the reading program has ended."""
         try:
             self._stream.flush()
         except BrokenPipeError:
@@ -51,14 +51,14 @@ class _Unbroken:
 
 
 class Commands(click.Group):
-    """A group of commands that end with an exit code and report an error on one line."""
+    """A group of commands. Each ends with an exit code and reports an error on one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the command names in the order in which they are used."""
+        """Return the command names in the order in which a user needs them."""
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
-        """Run a command and exit with its code, even if the reader of its output has ended."""
+        """Run a command and exit with its code, even if the program that reads its output has ended."""
         if sys.stdout is sys.__stdout__ and sys.stdout is not None:
             sys.stdout = _Unbroken(sys.stdout)
         try:
@@ -84,7 +84,7 @@ class Commands(click.Group):
 
 
 def _of_system(error: OSError) -> str:
-    """Return a sentence about a system error, with the file concerned and, if the disk is full, advice."""
+    """Return a sentence about a system error. It names the file and, if the disk is full, gives advice."""
     where = error.filename or "standard output, or a file of the output directory"
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return (
@@ -95,7 +95,7 @@ def _of_system(error: OSError) -> str:
 
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
-    """Print an error message on one line, and a file's first errors on one line each; then exit."""
+    """Print an error message on one line, followed by the first `mistakes` on one line each; then exit."""
     from fmu.formats.shown import list_mistakes, one_line
 
     click.echo(f"Error: {one_line(message)}", err=True)
@@ -106,7 +106,7 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print warnings about old names, stores, rounding and the like as notes, without the line of code."""
+    """Print fmu's warnings (about old names, stores, rounding and so on) as notes, without the line of code."""
     from fmu.arguments import OldNameWarning
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.reduction.train_reduced import ReductionWarning

@@ -10,7 +10,7 @@ from pathlib import Path
 
 @contextmanager
 def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
-    """Create an output directory for a block; remove it if the block fails before anything is written to it."""
+    """Create an output directory for a block. Remove it if the block fails before anything is written to it."""
     if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
         from fmu.config.kept import ORIGIN
         from fmu.runs.run_directory import FOLDER
@@ -43,7 +43,7 @@ def _is_left_empty(directory: Path) -> bool:
 
 
 def make_writable(directory: Path) -> None:
-    """Create an output directory if there is none; raise ValueError if it cannot be created or written to."""
+    """Create an output directory if it does not exist. Raise ValueError if it cannot be created or written to."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         why = "" if os.access(directory, os.W_OK) else "no permission"

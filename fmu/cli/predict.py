@@ -1,4 +1,4 @@
-"""The command ``fmu predict``, which tests whether new tests agree with the earlier tests of a run."""
+"""The command ``fmu predict``, which tests whether new tests agree with the earlier tests in a run."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _predict(
     draws: int,
     false_alarms: float,
 ) -> pd.DataFrame:
-    """Return the table from `fmu.predict_tests`, extended by whether each test departs.
+    """Return the table from `fmu.predict_tests`, with a further column that says whether each test departs.
 
     `tests` maps line numbers in the file to tests. Raise ConfigurationError if a test is wrong, and ValueError if
     `false_alarms` is below the smallest p-value that the draws can give.
@@ -168,7 +168,7 @@ def _text(value: object) -> str:
 
 
 def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> ConfigurationError:
-    """Convert errors in new tests to errors at their table lines; identical errors are reported once."""
+    """Convert errors in new tests to errors at their table lines. Identical errors are reported once."""
     found: dict[str, ArgumentError] = {}
     for mistake in error.mistakes:
         where, _, rule = mistake.partition(": ")
@@ -179,7 +179,7 @@ def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> Configura
 
 
 def _echo_new(found: pd.DataFrame) -> None:
-    """Print a table with one row per new test, and the parameter behind each departure."""
+    """Print a table with one row per new test, and the parameter that explains each departure."""
     header = ["new test", "p", "", "parameter", "change", "or"]
     rows = []
     for name, row in found.iterrows():
@@ -213,7 +213,7 @@ def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Di
 def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: float) -> None:
     """Print the number of tests that have departed so far, and the number expected by chance.
 
-    `before` lists the tests in the table that had been predicted before.
+    `before` lists the tests in the table that were predicted by an earlier command.
     """
     rows = predictions.rows
     departed = [row["name"] for row in rows if row["departs"] == "true"]

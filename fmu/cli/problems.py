@@ -1,4 +1,4 @@
-"""Commands for problem files (`cases`, `init`, `schema`, `check` and `plan`), and the loading of problems."""
+"""Commands for problem files (`cases`, `init`, `schema`, `check` and `plan`), and functions that load problems."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
 
 
 def problem_of(case: str, pairing: str | None) -> KeptProblem:
-    """Return a built-in case's or a user's problem file, with its pairing, before the problem is built.
+    """Return the problem file of a built-in case or of a user, with its pairing. The problem is not built yet.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
 
 
 def build_problem(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
-    """Build the problem from its file; if an engine is given, it trains the reduced model."""
+    """Build the problem from its file. If an engine is given, its workers train the reduced model."""
     if sys.stderr.isatty():  # a large structure takes minutes, once
         click.echo(f"Preparing {problem.file.name} …", err=True)
     return problem.load(engine)

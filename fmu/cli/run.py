@@ -1,4 +1,4 @@
-"""The command ``fmu run``: its options, and the whole run up to the report."""
+"""The command ``fmu run``: its options, and the run from the problem file to the report."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ run. When pages are written, nearly all new objects are small and in use."""
 def _option[Command: Callable[..., object]](
     name: str, kind: click.ParamType | type | None, text: str, **more: Any
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds an option, with the default of the same-named `fmu.sample` argument."""
+    """Return a decorator that adds an option. Its default is that of the `fmu.sample` argument with this name."""
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
         more |= {"default": default, "show_default": True}
@@ -162,7 +162,7 @@ def run(
 
 
 def _with_discrepancy(asked: KeptProblem, kind: str, folder: Path) -> KeptProblem:
-    """Return the problem with another discrepancy, and write its file to a folder.
+    """Return the problem with another discrepancy, after writing its file to a folder.
 
     Raise ValueError if the discrepancy does not suit the problem.
     """
@@ -302,7 +302,7 @@ def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> Ke
 def _begin_run(
     asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
 ) -> UpdatingProblem:
-    """Build and return the problem; save a new run's options, so that it can be resumed.
+    """Build and return the problem. Save a new run's options, so that the run can be resumed.
 
     With --overwrite, options are saved only after the problem is built, so an earlier run survives if that fails.
     """

@@ -42,7 +42,7 @@ class Sampled(NamedTuple):
 
     @property
     def limited(self) -> list[str]:
-        """Names of the samplers that reached their limit on solves, and can be resumed with a larger limit."""
+        """Names of the samplers that reached their limit on solves, and can be resumed with a higher limit."""
         return [name for name, trace in self.traces.items() if "limit" in trace.attrs]
 
 
@@ -62,7 +62,7 @@ def sample_problem(
     Raises
     ------
     StoppedRun
-        If Ctrl-C or SIGTERM stopped a sampler; the draws made until then are written too.
+        If Ctrl-C or SIGTERM stopped a sampler. The draws made until then are written too.
     """
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
@@ -125,7 +125,7 @@ def _tell_draws(
     report: Report | None,
     trace: xr.DataTree,
 ) -> None:
-    """Print and write the summary of a sampler's draws; print its verdict, and how to continue after a limit.
+    """Print and write the summary of a sampler's draws; print its verdict and how to continue if a limit ended it.
 
     The verdict does not yet include a comparison with samplers that have not finished.
     """
@@ -149,13 +149,13 @@ def _tell_draws(
 
 
 def _is_certified(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return True if the model has no surrogate, its surrogate is certified, or the draws are made exact."""
+    """Return True if the draws can be trusted: without a surrogate, with a certified one, or made exact."""
     certificate = problem.model.certificate
     return certificate is None or bool(orders.get("exact")) or certificate.ok
 
 
 def _until(orders: Orders) -> dict[str, object]:
-    """Return a run's arguments for `fmu.sample`, with stopping criteria unless `draws` is given."""
+    """Return a run's arguments for `fmu.sample`. They include stopping criteria unless `draws` is given."""
     from fmu.analysis.convergence.remedies import ESS_LIMIT
 
     arguments = {key: order for key, order in orders.items() if key in sampling.DEFAULTS}
@@ -165,7 +165,10 @@ def _until(orders: Orders) -> dict[str, object]:
 
 
 def _limit(orders: Orders) -> int:
-    """Return the limit on a sampler's solves; for a surrogate, whose solves are fast, at least the default."""
+    """Return the limit on a sampler's solves.
+
+    With a surrogate, whose solves are fast, it is at least the default limit.
+    """
     return max(orders["max_solves"], MAX_SOLVES if orders.get("surrogate") else 0)
 
 
@@ -176,7 +179,7 @@ def _draw_trace(
     running: RunDirectory,
     **arguments: object,
 ) -> xr.DataTree:
-    """Draw with one sampler, write the trace and return it; a StoppedRun names the sampler."""
+    """Draw with one sampler, write the trace and return it. If it is stopped, StoppedRun names the sampler."""
     from fmu.samplers.loop.saving import TooManyFailuresError
     from fmu.samplers.registry import make_sampler
 
@@ -219,7 +222,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Orders) -> int:
-    """Print the evidences, comparison and model verdict; write the comparison; return the exit code."""
+    """Print the evidences, the comparison and the model verdict; write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
@@ -256,7 +259,7 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Or
 
 
 def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:
-    """Print the number of points inside the bounds without a finite log-probability, if any."""
+    """Print the number of points inside the bounds without a finite log-probability, unless it is zero."""
     groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
     failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
     if failed:
@@ -269,9 +272,9 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 
 @contextmanager
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
-    """Yield the engine that advances chain groups.
+    """Yield the engine that advances the groups of chains.
 
-    Because a user's function is expensive, the workers share the evaluations in each step, and the chains advance
+    A user's function is expensive. The workers therefore share the evaluations in each step and the chains advance
     in this process, unless groups are requested.
     """
     from fmu.engines.base import InProcess

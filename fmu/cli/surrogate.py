@@ -1,4 +1,4 @@
-"""Surrogates in ``fmu run``: the decision whether one replaces a slow model, its construction, and messages."""
+"""Surrogates in ``fmu run``: decide whether one replaces a slow model, build it, and print messages about it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
 
 
 def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, speaks: bool) -> UpdatingProblem:
-    """Build a surrogate and return the problem with it; print its expected cost, and then its certificate."""
+    """Build a surrogate and return the problem that uses it. Print its expected cost and then its certificate."""
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
     from fmu.surrogates.learning import certificate_of, expected_solves, surrogate
@@ -82,8 +82,8 @@ def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, spe
 def _budget(problem: UpdatingProblem, orders: Orders) -> int:
     """Return the largest number of solves for a surrogate.
 
-    This is the requested limit. It is at most the default of `fmu.surrogate` if draws are made exact, or if no
-    limit was requested.
+    This is the requested limit. If draws are made exact or no limit was requested, it is at most the default of
+    `fmu.surrogate`.
     """
     from fmu.surrogates.learning import most_solves
 
@@ -92,16 +92,16 @@ def _budget(problem: UpdatingProblem, orders: Orders) -> int:
 
 
 def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return True if a surrogate was finished because too few solves were left for another certificate."""
+    """Return True if surrogate training ended because too few solves were left for another certificate."""
     from fmu.surrogates.learning import CHECKS, certificate_of
 
     return _budget(problem, orders) - certificate_of(problem).solves < CHECKS
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Save the solved points of a run's surrogate in its options; return the problem file and options.
+    """Save the solved points of a run's surrogate in the run's options; return the problem file and the options.
 
-    A run that is resumed with more solves has a new surrogate; the draws from the earlier surrogate are removed.
+    If a run is resumed with more solves, its surrogate is new; the draws from the earlier surrogate are removed.
     """
     design = problem.model.configuration()["design"]
     is_other = asked.orders.get("design", design) != design
@@ -118,7 +118,7 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact posterior draws by accepting or rejecting surrogate draws, which are added to if needed.
+    """Return exact posterior draws by accepting or rejecting surrogate draws. More are drawn if needed.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def exact_draws(
     until_ess : float
         Bulk and tail ESS that every parameter must reach.
     most : int, optional
-        Limit on solves, including those for the surrogate. Defaults to ten exact solves per unit of ESS.
+        Limit on solves, including the solves for the surrogate. Defaults to ten exact solves per unit of ESS.
     workers : Engine
     **arguments
         Arguments of `fmu.sample`.

@@ -1,4 +1,4 @@
-"""Tables and verdicts as text on a terminal."""
+"""Print tables and verdicts as text on a terminal."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _IN_WORDS = {
 
 
 def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
-    """Print the posterior maxima; if the table has more than `most_rows` rows, only their probabilities."""
+    """Print the posterior maxima. If the table has more than `most_rows` rows, print only their probabilities."""
     click.echo(f"Posterior maxima\n{maxima.as_text(most_rows)}")
     if len(maxima.side_by_side()) > most_rows:
         click.echo("Parameters and frequencies at the maxima are in map.csv.")
@@ -47,9 +47,9 @@ def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     """Print the summary of a sampler's trace, with means and intervals rounded by their standard deviation.
 
-    Each end of an interval is followed by its Monte Carlo standard error. The last column gives the basis of each
-    value, such as data or prior, if known. Rows that were not informed by the data are dimmed. Losses between
-    groups of tests have a separate table (`fmu.cli.damage.echo_losses`).
+    Each end of an interval is followed by its Monte Carlo standard error. The last column says what determines
+    each value, such as data or prior, if known. Rows of parameters that the data did not inform are dimmed. Losses
+    between groups of tests have a separate table (`fmu.cli.damage.echo_losses`).
     """
     from fmu.analysis.information import information
     from fmu.analysis.trace.reading import is_loss, told_names
@@ -80,7 +80,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
 
 def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
-    """Print the verdict on a sampler's run, with reasons; the name is padded to `width` columns."""
+    """Print the verdict on a sampler's run with its reasons. The name is padded to `width` columns."""
     width = max(width, len(name)) + 2
     indent = " " * width
     click.echo(wrap_text(found.verdict, f"{name:{width}}", indent))
@@ -206,7 +206,7 @@ def _beside_the_ends(columns: list[str]) -> list[str]:
 
 
 def _cell(name: str, value: object) -> str:
-    """Return a value in the comparison as text: whole numbers in full, and a dash if it does not apply."""
+    """Return a value in the comparison as text: a whole number in full, or a dash if the value does not apply."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):

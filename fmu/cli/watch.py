@@ -1,4 +1,4 @@
-"""The command ``fmu watch``, which shows the progress of a run as a table, as JSON or as a web page."""
+"""The command ``fmu watch``, which shows a run's progress as a table, as JSON or as a web page."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _lines(reading: RunReading) -> Iterator[str]:
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
-    """Return a table of rows as text, without the empty columns."""
+    """Return a table of rows as text, without empty columns and the columns in `_LEFT_OUT`."""
     from fmu.runs.words import HEADER, WORDS
 
     columns = [

@@ -1,4 +1,4 @@
-"""The reference posterior, running-mean errors, and the run length needed to pass the convergence checks.
+"""The reference posterior, the errors of running means, and the run length needed for convergence.
 
 A solve is one evaluation of the log-probability. An exact gradient counts as the number of solves that take the
 same time (`fmu.analysis.trace.reading.in_solves`).
@@ -42,7 +42,7 @@ class Reference:
 
     @property
     def resolution(self) -> float:
-        """Root mean square of mcse/sd over the parameters; smaller errors in a run cannot be resolved."""
+        """Root mean square of mcse/sd over the parameters. Errors of a run below this value cannot be resolved."""
         return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
 
 
@@ -60,7 +60,7 @@ def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
 
 
 def around_the_maxima(maxima: Maxima) -> Reference:
-    """Return the posterior estimate from importance sampling around the maxima, each weighted by its mass.
+    """Return the posterior estimate from importance sampling around the maxima, weighted by the mass of each.
 
     The estimate uses no chains, so it is valid even if chains do not cross between separate modes.
     """
@@ -98,14 +98,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Needed:
-    """The shortest run length that passes the convergence checks; every longer length examined also passes.
+    """The shortest run length that passes the convergence checks. All longer lengths examined also pass.
 
     All attributes are None if the run did not pass.
 
     Attributes
     ----------
     draws : int or None
-        Retained steps per chain.
+        Steps per chain after warm-up.
     samples : int or None
         Steps by all chains and walkers up to this length, warm-up included.
     solves, seconds : float or None
@@ -119,7 +119,7 @@ class Needed:
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
-    """Return the error in each chain's running mean at geometrically increasing lengths."""
+    """Return the error of each chain's running mean at geometrically increasing lengths."""
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     chains, total, ndim = draws.shape
@@ -133,7 +133,7 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest run length from which the convergence checks pass at every length examined.
+    """Return the shortest run length from which on the convergence checks pass at every length examined.
 
     Parameters
     ----------
@@ -144,9 +144,9 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 
     Notes
     -----
-    The warm-up stays as it is, and the draws are truncated at lengths that increase by the factor `GROWTH`. The
-    lengths are examined from the whole run downwards until the first failure, so that no length counts that passes
-    by chance.
+    The warm-up is unchanged, and the draws are truncated at lengths that increase by the factor `GROWTH`. The
+    lengths are examined from the whole run downwards until the first failure, so that a length that passes by
+    chance does not count.
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers

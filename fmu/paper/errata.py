@@ -1,4 +1,4 @@
-"""Errata of the paper, and the published frequencies recomputed from the published parameters."""
+"""Find errata in the paper, and recompute the published frequencies from the published parameters."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
     DataFrame
         One row per frequency. The columns are ``table``, ``column`` and ``mode``; the printed text ``printed_hz``;
         ``meant_hz``, which differs from the printed frequency if another cell exposes a misprint; ``model_hz``;
-        ``difference_hz``, model minus meant frequency, and its tolerance ``tolerance_hz``; ``within``, whether the
+        ``difference_hz``, model minus meant frequency; ``tolerance_hz``, its tolerance; ``within``, whether the
         difference is within the tolerance; ``as_printed``, whether the model at the printed parameters agrees with
         the printed frequency; and ``remark``.
     """
@@ -111,7 +111,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
 
 
 def count_reproduced(table: pd.DataFrame) -> str:
-    """Return a phrase on how many published frequencies the model reproduces, and which need a correction.
+    """Return a phrase that says how many published frequencies the model reproduces, and which need a correction.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One experiment in the paper with one mode pairing: its runs and its tables."""
+"""Run one experiment in the paper with one mode pairing, and tabulate its results."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> 
 def starts_in_the_posterior(
     long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
 ) -> FloatArray | None:
-    """Return draws, shape (chains, ndim), evenly spaced over the converged long run of a trusted sampler.
+    """Return draws, shape (chains, ndim), evenly spaced over a converged long run of a trusted sampler.
 
     Return None if no long run of a trusted sampler converged.
     """
@@ -197,7 +197,7 @@ def starts_in_the_posterior(
 
 
 def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
-    """Return the reference posterior from converged trusted samplers or, if there are none, from the maxima."""
+    """Return the reference posterior from the trusted samplers that converged or, if none did, from the maxima."""
     good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
     if not good:
         return around_the_maxima(maxima)
@@ -205,7 +205,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return how often each combination of paired modes occurs, as a fraction of about 2000 draws."""
+    """Return the fraction of about 2000 draws at which each combination of physical modes is paired."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -215,12 +215,12 @@ CI_PROB = 0.9
 
 
 def posterior_mean(trace: xr.DataTree) -> FloatArray:
-    """Return the mean of all retained draws, shape (ndim,), SI units."""
+    """Return the mean of all draws after warm-up, shape (ndim,), SI units."""
     return parameter_draws(trace).mean(axis=(0, 1))
 
 
 def parameter_table(result: Result) -> pd.DataFrame:
-    """Return a table of the published parameters (Table 1 or 3) and ours, one row per parameter, SI units.
+    """Return a table of the published parameters (Table 1 or 3) and our parameters, one row each, SI units.
 
     The columns are ``unit``; ``published_*``; ``maximum``, the highest posterior maximum; ``paper_*``, the
     posterior means with the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of the
@@ -243,7 +243,7 @@ def parameter_table(result: Result) -> pd.DataFrame:
 
 
 def frequency_table(result: Result) -> pd.DataFrame:
-    """Return a table of the published frequencies (Table 2 or 4) and ours, one row per measured mode.
+    """Return a table of the published frequencies (Table 2 or 4) and our frequencies, one row per measured mode.
 
     Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors |f − f_m|/f_m in %. The columns are
     ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters with this
@@ -276,16 +276,16 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return `fmu.compare` for the long runs with the cost of the paper's protocol, one row per sampler.
+    """Return the result of `fmu.compare` for the long runs, extended by costs, one row per sampler.
 
     A solve is one evaluation of the log-probability, and an exact gradient counts as ``gradient_cost`` solves. The
     columns added to `fmu.compare` are:
 
     ``sampling_solves`` and ``ess_per_sampling_solve``: the long run's solves and efficiency without the warm-up.
 
-    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: retained steps per chain, and all
-    chains' steps, solves and time in s including the warm-up, at the shortest length from which the long run
-    passes the convergence checks; missing if the long run did not converge.
+    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: the length from which on the long run
+    passes the convergence checks, as steps per chain after warm-up, and as all chains' steps, solves and time in s
+    including warm-up. They are missing if the long run did not converge.
 
     ``paper_solves``: solves with the paper's protocol.
 
@@ -360,7 +360,7 @@ def one_start(result: Result) -> OneStart:
 
 
 def agreement(result: Result) -> tuple[float, float, tuple[str, ...]]:
-    """Return the largest differences between the converged long runs' posterior means, and their samplers.
+    """Return the largest differences between the posterior means of the converged long runs, and their samplers.
 
     Returns
     -------
@@ -387,6 +387,6 @@ def _distance(result: Result, theta: FloatArray) -> float:
 
 
 def rows_of(frame: pd.DataFrame) -> list[tuple[str, dict[str, Any]]]:
-    """Return each table row's name and its cells, as a dict keyed by column."""
+    """Return the name and the cells of each table row. The cells are a dict keyed by column."""
     rows = frame.itertuples(name=None)
     return [(str(name), dict(zip(frame.columns, cells, strict=True))) for name, *cells in rows]

@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the sets of frequencies plotted for a sampler: before updating, published and ours."""
+    """Return the frequency sets plotted for a sampler: before updating, published, and ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:
@@ -70,10 +70,10 @@ def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Fre
 
 
 def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
-    """Plot the running-mean error against the number of model solves for every sampler.
+    """Plot the error of the running mean against the number of model solves for every sampler.
 
     A solid line is the median over the long run's chains (or ensembles), and the band is their range. A dotted
-    line is the paper's protocol. A dot marks the length from which the long run passes the convergence checks.
+    line is the paper's protocol. A dot marks the length from which on the long run passes the convergence checks.
     """
     figure = figure or new_figure(8.0, 5.4)
     axes = figure.subplots()
@@ -110,7 +110,7 @@ def _band(axes: Axes, curve: Curve, colour: str, label: str) -> None:
 
 
 def _legend(figure: Figure, result: Result) -> None:
-    """Add a legend with colours and line styles below the figure."""
+    """Add a legend of colours and line styles below the figure."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

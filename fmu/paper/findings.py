@@ -1,4 +1,4 @@
-"""The findings on one experiment as tables, and the paper's statements judged by these tables."""
+"""Collect the findings on one experiment as tables, and use them to judge the paper's statements."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Findings:
         return float("nan") if str(cell) == "<NA>" else float(cell)
 
     def in_paper_units(self, parameter: str, *columns: str) -> list[float]:
-        """Return entries in the parameter table divided by the power of ten that the paper uses."""
+        """Return entries in the parameter table, divided by the paper's power of ten for that parameter."""
         factor, _ = self.unit_of_paper(parameter)
         return [float(self.parameters[column][parameter]) / factor for column in columns]
 
@@ -173,7 +173,7 @@ class Findings:
 
     @property
     def separate_maxima(self) -> pd.DataFrame:
-        """Table rows of the maxima that are at most `DEEP` in log-probability below the highest maximum."""
+        """Table rows of the maxima whose log-probability is at most `DEEP` below the highest maximum."""
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
 
     def unit_of_paper(self, parameter: str) -> tuple[float, str]:
@@ -214,7 +214,7 @@ SEPARATED = (
 
 
 class Judgement(NamedTuple):
-    """A statement in the paper, a criterion, and whether the statement is right by this criterion.
+    """A statement in the paper, a criterion, and the outcome when the statement is judged by this criterion.
 
     The `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
     """
@@ -226,7 +226,7 @@ class Judgement(NamedTuple):
 
 
 def judge(findings: Findings) -> list[Judgement]:
-    """Judge the paper's statements on one experiment by each criterion that the paper may mean.
+    """Judge the paper's statements on one experiment by every criterion that the paper may have meant.
 
     If only one of two samplers' long runs converged, that sampler is the better one. If both converged, the
     numbers in the cost table are compared.

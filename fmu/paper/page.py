@@ -1,4 +1,4 @@
-"""The page on one experiment, which compares the paper's tables with our results."""
+"""Write the page on one experiment, which compares the paper's tables with our results."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return tables of the long runs' convergence and cost, and what the paper's protocol cost."""
+    """Return tables of the long runs' convergence and cost, with the cost of the paper's protocol beside it."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (
@@ -218,7 +218,7 @@ def claims(findings: Findings) -> str:
 
 
 def maxima(findings: Findings) -> str:
-    """Return a table of the posterior maxima, with each one's share of the probability."""
+    """Return a table of the posterior maxima, with the probability share of each maximum."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
     header = ["", *(f"{name}, {unit}" for name, (_, unit) in zip(names, units, strict=True))]
@@ -273,7 +273,7 @@ def fit(findings: Findings) -> str:
 
 
 def places(findings: Findings) -> str:
-    """Return a table of the physical modes paired in each long run, or "" if the pairing never changed."""
+    """Return a table of the physical modes paired in each long run; empty if the pairing never changed."""
     if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [
@@ -317,7 +317,7 @@ def settings(findings: Findings) -> str:
 
 
 def _count(value: Any) -> Any:
-    """Return a setting, or the number of mixture components in words, since their list is too long to show."""
+    """Return a setting unchanged, or the number of mixture components if it is their list, which is too long."""
     is_long = any(mapping_in(one) is not None for one in list_in(value) or [])
     return f"{len(value)}, at the maxima" if is_long else value
 

@@ -1,4 +1,4 @@
-"""The planned runs: lengths and settings for the paper's protocol and for the long runs.
+"""Plan the runs: lengths and settings for the paper's protocol and for the long runs.
 
 The paper's protocol is a single chain with the paper's number of samples; the long runs are meant to converge.
 """
@@ -31,7 +31,7 @@ PAIRINGS = ("index", "shape")
 
 @dataclass(frozen=True)
 class Length:
-    """A run's length: retained steps, warm-up steps, and number of chains (ensembles for emcee)."""
+    """A run's length: steps after warm-up, warm-up steps, and number of chains (ensembles for emcee)."""
 
     draws: int
     warmup: int
@@ -39,7 +39,7 @@ class Length:
 
     @property
     def steps(self) -> int:
-        """Number of warm-up and retained steps per chain."""
+        """Number of steps per chain, warm-up included."""
         return self.warmup + self.draws
 
 
@@ -56,7 +56,7 @@ class Plan:
         warm-up.
     pace : mapping of str to Length
         Lengths, keyed by sampler, of runs with the paper's settings that start from posterior draws. These runs
-        estimate the cost per effective sample.
+        show how many solves one effective sample costs.
     long : mapping of str to Length
         Lengths of the long runs, keyed by sampler (`long_start`).
     one_start : Length
@@ -208,12 +208,12 @@ class Runs:
         return trace
 
     def finish(self) -> None:
-        """Report completion, even if not every planned run was performed."""
+        """Report that the runs are complete, even if not every planned run was performed."""
         if self.progress is not None:
             self.progress(self.phase, self.total, self.total, {"run": "all"})
 
     def _watch(self, words: str) -> Report | None:
-        """Return the progress callback for one run, which counts warm-up steps and draws, or None if unwatched."""
+        """Return a callback that reports one run's warm-up steps and draws, or None if no progress is reported."""
         report = self.progress
         if report is None:
             return None

@@ -58,7 +58,7 @@ class Printed:
         return float(f"0.5e{self.exponent - self.decimals}")
 
     def allows(self, value: float, slack: float = 0.0) -> bool:
-        """Return True if a number within `slack` of `value` may have been rounded to the printed number.
+        """Return True if rounding can turn some number within `slack` of `value` into the printed number.
 
         A tie may have been rounded up or down, so the limit is slightly more than half a unit.
         """
@@ -102,7 +102,7 @@ class Column:
 
     @property
     def theta(self) -> FloatArray:
-        """Parameters, with misprints corrected, that reproduce the printed frequencies, SI units, (ndim,)."""
+        """Parameters that reproduce the printed frequencies, with misprints corrected, SI units, shape (ndim,)."""
         return _values(self.parameters, self.corrected_parameters)
 
     @property

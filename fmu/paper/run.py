@@ -1,4 +1,4 @@
-"""The command `fmu paper`, which computes the experiments in parallel processes and writes the results."""
+"""The command `fmu paper`, which runs the experiments in parallel processes and writes the results."""
 
 from __future__ import annotations
 
@@ -56,17 +56,18 @@ def run_paper(
     out : path-like
         Output directory. Only files that an earlier run wrote there are replaced or removed.
     progress : callable, optional
-        Called as ``progress(phase, done, total, info)``, one phase per experiment and per run with a vector β.
+        Called as ``progress(phase, done, total, info)``, with one phase for each experiment and for each run with
+        a vector β.
     plan : Plan, optional
         Lengths of the runs.
     workers : int, optional
-        Number of processes for the experiments, by default the number of CPUs; with 1, only the current process
+        Number of processes for the experiments. Defaults to the number of CPUs; with 1, only the current process
         is used. The results do not depend on this number.
 
     Raises
     ------
     ValueError
-        If the results would overwrite files that fmu did not write, which is checked before the computation.
+        If the results would overwrite files that fmu did not write. This is checked before the computation.
     """
     plan = plan or Plan()
     directory = OutputDirectory(out)
@@ -194,9 +195,9 @@ def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
 
 
 def separated_modes(findings: Findings) -> Iterator[Erratum]:
-    """Yield an erratum if the posterior with modes paired by number has separated maxima.
+    """Yield an erratum if the posterior has separated maxima when modes are paired by number.
 
-    The paper's samplers cannot cross between them.
+    The paper's samplers cannot cross between these maxima.
     """
     maxima = findings.separate_maxima
     if findings.pairing != "index" or len(maxima) < 2:

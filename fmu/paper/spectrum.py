@@ -44,7 +44,7 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
 
 
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
-    """Return name and frequency in Hz for the structure's `count` lowest modes, in ascending order.
+    """Return the name and the frequency in Hz of each of the `count` lowest modes, in ascending order.
 
     The parameters are `theta`, shape (ndim,), SI units.
     """
@@ -56,16 +56,15 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
 
 
 def shares(names: StrArray) -> dict[str, float]:
-    """Return the fraction of rows for each combination of names, the most common one first."""
+    """Return the fraction of rows with each combination of names; the most common combination comes first."""
     counts = Counter(" ".join(row) for row in names.tolist())
     return {combination: count / len(names) for combination, count in counts.most_common()}
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return, for each measured mode, the fraction of the box in which each physical mode is paired with it.
+    """Return, for each measured mode, how often each physical mode is paired with it within the bounds.
 
-    The box is the parameter space within the bounds; fractions of its volume are estimated with a scrambled Sobol
-    sequence.
+    The fractions of the volume within the bounds are estimated with a scrambled Sobol sequence.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str,
 
 
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
-    """Return the names of the modes; a straight beam's matrix blocks are its four planes of motion.
+    """Return the names of the modes. The matrix blocks of a straight beam are its four planes of motion.
 
     Raise ValueError if planes of motion are coupled, or if one plane has several blocks.
     """

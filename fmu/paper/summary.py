@@ -1,4 +1,4 @@
-"""The results' summary page, README.md."""
+"""Write README.md, the page that summarises the results."""
 
 from __future__ import annotations
 

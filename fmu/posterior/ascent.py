@@ -1,4 +1,4 @@
-"""Gauss–Newton ascents of a log-density within a box, from many starting points at once as one array."""
+"""Gauss–Newton ascents of a log-density within a box. Ascents from many starting points advance as one array."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ def ascend(
 ) -> Ascent:
     """Ascend from every starting point to a local maximum of −V within a box, by the Levenberg–Marquardt method.
 
-    Each step minimises the quadratic model, with an enlarged diagonal, within the box. The enlargement depends on
-    the ratio of actual to predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where
-    computed modes swap, the quadratic model is invalid, and the ascent does not end at a stationary point.
+    Each step minimises the quadratic model, with its diagonal enlarged (damped), within the box. The damping
+    depends on the ratio of actual to predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink,
+    where computed modes swap, the quadratic model is invalid, and the ascent does not end at a stationary point.
 
     Parameters
     ----------
@@ -161,12 +161,12 @@ def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, Flo
 
 
 def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
-    """Return a mask (n, ndim) of the coordinates that are at a bound while V decreases outwards."""
+    """Return a mask (n, ndim) of the coordinates that are at a bound beyond which V would decrease further."""
     return ((u <= lower) & (g > 0)) | ((u >= upper) & (g < 0))
 
 
 def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the predicted decrease of V in an undamped step, (n,), with pressed coordinates fixed.
+    """Return the decrease of V, (n,), predicted for an undamped step in which pressed coordinates stay fixed.
 
     `find_pressed` defines the pressed coordinates.
     """
@@ -180,8 +180,8 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
 
     The exact minimum in a box is a quadratic programme. Three cheap candidates are enough, since the damping
     corrects a poor step: the Newton step clipped to the box, the Newton step shortened to the first bound, and an
-    active-set step. The last one fixes coordinates at the bounds that they would cross and solves for the
-    remaining coordinates, until all are inside.
+    active-set step. The active-set step fixes each coordinate that would cross a bound at that bound, and solves
+    for the remaining coordinates, repeatedly, until all are inside.
     """
     # fix coordinates that are at a bound while V decreases outwards
     held = find_pressed(u, g, lower, upper)

@@ -63,7 +63,7 @@ def assumptions(
     elsewhere : float, optional
         Relative frequency error allowed outside the bulk of the posterior, if it is larger than `reduction`.
     log_prob : float, optional
-        Log-probability error allowed because of the reduced model.
+        Error in the log-probability that the reduced model may cause.
 
     Returns
     -------
@@ -185,7 +185,7 @@ def _errors(
 
 
 def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
-    """Return known standard deviations as text: relative errors in per cent, absolute errors in Hz."""
+    """Return known standard deviations as text: in per cent for relative errors, in Hz for absolute errors."""
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")

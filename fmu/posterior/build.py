@@ -161,7 +161,8 @@ def likelihood_of(
     -----
     Mass and displacement errors are added to the mode errors. If only mass or displacement errors are given, the
     frequencies keep their default errors. If only frequency response function errors are given, the modes are not
-    part of the likelihood: they are still paired, and the search for maxima begins with them.
+    part of the likelihood. They are still paired, and the search for maxima starts with the likelihood of the
+    modes.
     """
     given: Sequence[Any] = as_list(error)
     errors_of, structure = Errors.of(error), separable_in(model)
@@ -220,7 +221,7 @@ def _likelihood_of_frfs(
     discrepancy: Discrepancy | Sequence[Discrepancy],
     layout: Layout,
 ) -> Likelihood:
-    """Return the joint likelihood of frequency response functions and any modes with error models."""
+    """Return the joint likelihood of frequency response functions and of any modes for which errors are given."""
     errors = Errors.of(given)
     of_frfs = list(errors.of_frfs.values())
     if len(layout.tests) == 1:

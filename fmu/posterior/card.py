@@ -1,4 +1,4 @@
-"""The HTML card that shows an updating problem in a notebook."""
+"""Build the HTML card that shows an updating problem in a notebook."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_DRAWN = 5000
 
 
 def problem_card(problem: Posterior) -> str:
-    """Return a problem's HTML card: a drawing of the structure, parameters, measured and initial modes."""
+    """Return a problem's HTML card: a drawing of the structure, its parameters, and measured and initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
     structure = problem.model.parts[0].structure
@@ -73,7 +73,7 @@ def _modes(problem: Posterior) -> str:
 
 
 def _table(header: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return an HTML table whose cells are already HTML."""
+    """Return an HTML table. `header` and `rows` contain HTML, which is not escaped."""
     head = "".join(f"<th>{cell}</th>" for cell in header)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

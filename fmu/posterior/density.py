@@ -30,7 +30,7 @@ class Posterior:
     """The posterior of eq. (8) as a density of theta.
 
     The layout maps theta to the structural parameters in every test, the model maps these to the modes, and the
-    likelihood compares the modes with the data; the prior is a density of theta. This class is the base of
+    likelihood compares the modes with the data. The prior is a density of theta. This class is the base of
     `fmu.posterior.problem.UpdatingProblem`, which constructs its attributes and describes them.
     """
 
@@ -56,14 +56,14 @@ class Posterior:
     _failed: FailureRecord
 
     def with_model(self, model: ModalModel) -> Self:
-        """Return the same problem with another model, which has the same parameters and modes."""
+        """Return the same problem with another model. The new model must have the same parameters and modes."""
         other = copy(self)
         other.model, other.likelihood = model, self.likelihood.with_model(model)
         other._failed = FailureRecord()
         return other
 
     def with_likelihood(self, likelihood: Likelihood) -> Self:
-        """Return the same problem with another likelihood, whose `noise` may differ."""
+        """Return the same problem with another likelihood. The new likelihood must have the same parameters."""
         other = copy(self)
         other.likelihood, other._failed = likelihood, FailureRecord()
         other._take_parameters()
@@ -120,7 +120,7 @@ class Posterior:
         return terms[0] if single else terms
 
     def terms_of_tests(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf where its solve failed.
+        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf if its own solve failed.
 
         By contrast, `log_likelihood_terms` returns -inf for all data at a theta if one of them fails.
         """
@@ -152,15 +152,17 @@ class Posterior:
     def terms_of_frequencies(self, theta: FloatArray, frequencies: FloatArray) -> FloatArray:
         """Return the log-likelihood of each datum at theta (n, ndim), given the model's frequencies there.
 
-        The `frequencies`, (n, n_modes), are in Hz. The model is solved again only if the likelihood needs more.
+        The `frequencies`, (n, n_modes), are in Hz. The model is solved again only if the likelihood needs more
+        than the frequencies.
         """
         return self.likelihood.terms_of_frequencies(frequencies, self.layout.of_model(theta))
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        It needs a likelihood of computed modes. The information on the structural parameters is JᵀJ, where J is
-        the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds is Fisher's.
+        The likelihood must be a function of computed modes. The information on the structural parameters is JᵀJ,
+        where J is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds is
+        Fisher's.
         """
         return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
 
@@ -191,8 +193,8 @@ class Posterior:
     def frfs(self, theta: ArrayLike) -> tuple[ComplexArray, ...]:
         """Return the computed frequency response functions, one array for each `fmu.FRFErrors`.
 
-        Each has the shape (n_frfs, n_lines) or (n, n_frfs, n_lines), in the units of the data. The frequency lines
-        are those that at least one FRF uses.
+        Each array has the shape (n_frfs, n_lines) or (n, n_frfs, n_lines), in the units of the data. Its lines are
+        the frequency lines that at least one FRF uses.
         """
         points, single = self._points(theta)
         found = [term.frfs(own) for term, own in self.responses_at(points)]
@@ -252,7 +254,7 @@ class Posterior:
         return self._failed.count
 
     def take_failures(self) -> list[Failure]:
-        """Return the failures since this method was last called; they remain in `failures`.
+        """Return the failures since the last call of this method; they remain in `failures`.
 
         A theta that failed several times is returned once. At most ten thousand failures are stored; `n_failures`
         counts all failures.
@@ -307,12 +309,15 @@ class Posterior:
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first SeparableModel that parameter `k` of theta changes, and its index there, or None."""
+        """Return the first SeparableModel that depends on parameter `k` of theta, and its index of the parameter.
+
+        Return None if no matrices depend on it.
+        """
         of = self.roles[k].of
         return None if of is None else self.model.matrices_of(of)
 
     def with_layout(self, layout: Layout) -> Self:
-        """Return the same problem with another layout of the same parameters, which defines scores differently."""
+        """Return the same problem with another layout of the same parameters. Only the scores differ."""
         other = copy(self)
         other.layout, other.prior, other._failed = layout, self._prior_of(layout), FailureRecord()
         return other

@@ -14,8 +14,8 @@ MOST_KEPT = 10_000
 class FailureRecord:
     """A record of the first failed points, and of the points that failed since `take` was last called.
 
-    At most `most` points of either kind are stored with their reasons, so memory and time are bounded; `count`
-    counts all failures. A pickled record is empty, so that another process records only its own failures.
+    At most `most` points of either kind are stored with their reasons, so memory and time are bounded; `count` is
+    the number of all failures. Pickling empties the record, so that another process records only its own failures.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class FailureRecord:
         return FailureRecord, (self.most,)
 
     def add(self, points: FloatArray, why: Callable[[FloatArray], str]) -> None:
-        """Record failed points (n, ndim); ``why(theta)`` gives the reason and is called for stored points only."""
+        """Record failed points (n, ndim). ``why(theta)`` returns the reason; only stored points need it."""
         self.count += len(points)
         for theta in points:
             if len(self._waiting) >= self.most:

@@ -1,7 +1,7 @@
-"""Search for a posterior's local maxima from several starting points, since a single optimum need not be the mode.
+"""Search for a posterior's local maxima from several starting points. A single ascent may end at a minor maximum.
 
-Gauss–Newton ascents from all starting points advance together as one array. Ascents close to the same maximum are
-continued from the highest point only, and equal results are merged.
+Gauss–Newton ascents from all starting points advance together as one array. Among ascents close to the same
+maximum, only the highest continues, and equal results are merged.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ def local_maxima(
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
     The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. If the likelihood
-    consists of mode errors, all points ascend together by Gauss–Newton steps (`ascend`). Where several ascents
-    have come close together just below a maximum, only the highest continues. Of the ascents that stall at a kink,
-    the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other likelihood, every point
-    ascends by L-BFGS-B. Two results are the same maximum if no valley separates them. This means that on the
-    straight line between them, the log-probability is nowhere more than 0.1 below the lower value.
+    consists of mode errors, all points ascend together by Gauss–Newton steps (`ascend`). If several ascents come
+    close together just below a maximum, only the highest continues. Of the ascents that stall at a kink, the best
+    eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other likelihood, every point ascends
+    by L-BFGS-B. Two results are the same maximum if no valley separates them. This means that on the straight line
+    between them, the log-probability is nowhere more than 0.1 below the lower value.
 
-    If the model has a discrepancy, the points ascend without it first, and the highest eight ends continue with
-    it. In addition, 64 of them ascend with it from the first step (`_starts_with_discrepancy`).
+    If the model has a discrepancy, all points first ascend without it, and the highest eight end points then
+    ascend with it. In addition, 64 of the points ascend with it from the first step (`_starts_with_discrepancy`).
 
     Parameters
     ----------
@@ -112,10 +112,10 @@ def _starts_with_discrepancy(
 ) -> FloatArray:
     """Return the highest scaled points (m, ndim) reached by a few ascent steps with the model discrepancy.
 
-    Near mode crossings the discrepancy's variances change too fast for Gauss–Newton steps, and most ascents never
-    arrive. They are abandoned after `_MOST_STEPS` if they are `_HOPELESS` nats below the highest one that has
-    arrived. If none of `ends` leads to a maximum, they are retried with a tenth of the discrepancy: the smaller it
-    is, the closer its maxima are.
+    Near mode crossings the discrepancy's variances change too fast for Gauss–Newton steps, and most ascents do not
+    converge. After `_MOST_STEPS`, an ascent is abandoned if it is `_HOPELESS` nats below the highest one that has
+    converged. If none of `ends` leads to a maximum, they are retried with a tenth of the discrepancy, because the
+    maxima with a small discrepancy are close to those without it.
 
     Parameters
     ----------
@@ -223,7 +223,10 @@ def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
 
 
 def _collect_ends(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> list[Maximum]:
-    """Return the maxima at scaled points u (n, ndim) with finite log-probability; `starts` (n,) counts ascents."""
+    """Return the maxima at scaled points u (n, ndim) that have a finite log-probability.
+
+    `starts` (n,) is the number of ascents that ended at each point.
+    """
     theta = scaled.to_theta(u)
     values = scaled.density.log_prob(theta)
     return [Maximum(x, float(v), int(n)) for x, v, n in zip(theta, values, starts, strict=True) if np.isfinite(v)]
@@ -237,7 +240,7 @@ def _is_same(problem: Posterior, one: Maximum, other: Maximum) -> bool:
 
 
 def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the distinct maxima, the highest first, adding up the ascent counts of equal ones."""
+    """Return the distinct maxima, the highest first. The ascent counts of equal maxima are added up."""
     distinct: list[Maximum] = []
     for maximum in sorted(maxima, key=lambda m: -m.log_prob):
         for i, known in enumerate(distinct):

@@ -1,4 +1,4 @@
-"""Updating parameters, each with its name, unit, bounds, starting value and prior."""
+"""Parameters to be updated, each with its name, unit, bounds, starting value and prior."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Parameter:
     lower, upper : float
         Bounds, which truncate the prior. A bound outside the prior's support is moved to the end of the support.
     prior : Prior
-        `Uniform` by default, which needs finite bounds.
+        Defaults to `Uniform`, which needs finite bounds.
     unit : str
         SI unit, for labels, in printable characters; empty for a dimensionless factor.
     group : str
         Name of a group whose parameters may share one α in eq. (6); see `share_alpha`.
     updated : bool
-        False for a parameter that keeps the value `start` and is not inferred. It may still scatter over the modes
-        (`fmu.Discrepancy`). Its bounds and prior then only define where a reduced model must be accurate.
+        Whether the parameter is inferred. If False, it keeps the value `start`, but it may still scatter over the
+        modes (`fmu.Discrepancy`). Its bounds and prior then only define where a reduced model must be accurate.
 
     Raises
     ------
@@ -85,13 +85,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Smallest value with a positive prior density: `lower`, or the next float above if its density is 0."""
+        """Smallest value with a positive prior density: `lower`, or the next float above if `lower` has none."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Largest value with a positive prior density: `upper`, or the next float below if its density is 0."""
+        """Largest value with a positive prior density: `upper`, or the next float below if `upper` has none."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 
@@ -105,7 +105,7 @@ def parameter_in(given: object) -> Parameter | None:
 
 
 def value_and_parameter(given: float | Parameter) -> tuple[float, Parameter | None]:
-    """Return a known setting and None, or the starting value of an inferred setting and its parameter."""
+    """Return a known value and None, or an inferred setting's starting value and its parameter."""
     return (given.start, given) if isinstance(given, Parameter) else (float(given), None)
 
 
@@ -126,7 +126,7 @@ def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
 
 
 def require_name(name: str, key: str = "name") -> None:
-    """Raise ValueError for a name that a trace cannot store or that is not legible.
+    """Raise ValueError if a name cannot be stored in a trace or is not legible.
 
     Spaces inside the name, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are allowed.
     """
@@ -142,7 +142,7 @@ def require_name(name: str, key: str = "name") -> None:
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters, giving each named group a Gaussian prior with its α in eq. (6).
+    """Return the parameters. Those in a named group get a Gaussian prior with the group's α in eq. (6).
 
     Parameters
     ----------

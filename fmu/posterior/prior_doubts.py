@@ -1,4 +1,4 @@
-"""Check for priors that contradict their bounds, as when a mean is missing or a unit is wrong."""
+"""Check for priors that contradict their bounds, for example because a mean is missing or a unit is wrong."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Fit(NamedTuple):
     mass : float
         Prior probability between the bounds.
     centre, sd : float
-        Median of the prior before truncation, and half its central 68 % interval.
+        Median of the prior before truncation, and half the width of its central 68 % interval.
     outside : float
         Distance of the centre outside the bounds in units of `sd`; 0 if the centre is inside.
     median, spread : float
-        Median of the truncated prior, and half its central 68 % interval.
+        Median of the truncated prior, and half the width of its central 68 % interval.
     is_flat : bool
         Whether the prior is nearly constant between its bounds, so that its median is near the middle.
     """
@@ -48,7 +48,7 @@ class Fit(NamedTuple):
 
 
 def fit_to_bounds(parameter: Parameter) -> Fit | None:
-    """Return a prior's position relative to its bounds, or None for a prior defined only between bounds."""
+    """Return a prior's position relative to its bounds, or None if the prior is only defined between bounds."""
     prior, lower, upper = parameter.prior, parameter.lower, parameter.upper
     if prior.needs_bounds:
         return None

@@ -204,7 +204,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
-        """Return the same problem updated with the named modes only; it shares the model, reduced or not.
+        """Return the same problem updated with the named modes only. It shares the model, also if it is reduced.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def coarser(self, share: Annotated[float, Interval(gt=0, le=1)]) -> UpdatingProblem:
-        """Return the same problem with only a share of the reduced basis vectors, if the model is reduced.
+        """Return a copy whose reduced model has only a share of its basis vectors. Other models are unchanged.
 
         A solve then takes less time and is less accurate, which is enough for approximations such as proposals.
         """
@@ -251,10 +251,10 @@ class UpdatingProblem(Posterior):
         """Return starting points for the walkers of an ensemble sampler such as emcee, shape (n, ndim), SI units.
 
         The points are distributed over the posterior's maxima in proportion to each maximum's probability. Around
-        each maximum they are twice as wide as the posterior, within the bounds and where the log-probability is
-        finite (`fmu.analysis.maxima.starts.starts_at_maxima`). For a hierarchical posterior they surround its
-        typical point instead. The maxima are searched for once (`fmu.find_map`). A different seed gives different
-        points, for another ensemble.
+        each maximum they scatter twice as widely as the posterior, within the bounds and where the log-probability
+        is finite (`fmu.analysis.maxima.starts.starts_at_maxima`). For a hierarchical posterior they surround its
+        typical point instead. The maxima are found once and cached (`fmu.find_map`). Use another seed to get
+        different points, for another ensemble.
 
         Parameters
         ----------
@@ -304,8 +304,9 @@ class UpdatingProblem(Posterior):
     ) -> FloatArray:
         """Return simulated frequencies of one further test, in Hz, shape (n, n_modes), for computed `frequencies`.
 
-        `simulate_data` simulates the data, which are the mean of n tests. A single test scatters √n times as much
-        (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are the same as in `simulate_data`.
+        By contrast, `simulate_data` simulates the data, which are the mean of several tests and scatter less than
+        one test (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are the same as in
+        `simulate_data`.
 
         Raises
         ------

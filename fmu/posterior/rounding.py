@@ -2,12 +2,12 @@
 
 An entry of K is rounded to one part in 10¹⁶. Some stiff parts hardly strain, such as a rigid link, or a spring of
 1e16 N/m beside springs of 1e5 N/m. Their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
-large numbers. The error in the eigenvalue λ is then
+large numbers. If rounding is independent from entry to entry, the error in the eigenvalue λ is
 
     δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,
 
-with u = 1.1e-16, if rounding is independent from entry to entry (first-order perturbation, Stewart & Sun 1990,
-*Matrix Perturbation Theory*, section VI.2). A reduced model adds rounding relative to its own highest eigenvalue.
+with u = 1.1e-16 (first-order perturbation, Stewart & Sun 1990, *Matrix Perturbation Theory*, section VI.2). A
+reduced model adds rounding relative to its own highest eigenvalue.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def rounding(problem: Posterior) -> Rounding | None:
     Raises
     ------
     ValueError
-        If the solve at the starting point fails, or a soft part's stiffness is lost in rounding beside a stiff
-        one.
+        If the solve at the starting point fails, or a soft part next to a stiff part loses its stiffness in
+        rounding.
     """
     model, likelihood = structure_of(problem.model), problem.likelihood
     if model is None or not likelihood.of_modes:
@@ -131,7 +131,7 @@ def rounding(problem: Posterior) -> Rounding | None:
 
 
 def bounded_rounding(problem: Posterior) -> Rounding | None:
-    """Return the `rounding` of a problem; raise ValueError if a rounding error exceeds the measurement error."""
+    """Return the result of `rounding`; raise ValueError if a rounding error exceeds the measurement error."""
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
@@ -169,8 +169,8 @@ def _without_density(problem: Posterior) -> str:
 def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:
     """Raise ValueError if an apparent rigid-body mode strains a stiffness term, or if K is not semidefinite.
 
-    A λ that is tiny relative to `top` is treated as zero, and pairing ignores the mode. This is wrong if a term of
-    K has strain energy in the mode: then the term was lost, or nearly lost, in rounding of the sum.
+    A mode whose λ is tiny relative to `top` is treated as a rigid-body mode, and pairing ignores it. This is wrong
+    if a term of K has strain energy in the mode: then rounding of the sum has removed most of the term.
     """
     structure = model.structure
     counts = model.rule.counts(model.blocks)  # the number of modes solved for in each block
@@ -231,7 +231,7 @@ def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
 
 
 def _highest_of_reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
-    """Return the highest eigenvalue of each mode's reduced block, (n_modes,), or 0 for a mode without one."""
+    """Return the highest eigenvalue of each mode's reduced block, (n_modes,), or 0 if there is no such block."""
     reduced = reduced_in(model)
     if reduced is None:
         return np.zeros(len(owners))

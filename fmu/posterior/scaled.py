@@ -1,4 +1,4 @@
-"""Log-densities in scaled coordinates: affine, or logarithmic for ascents with wide log-normal priors."""
+"""Log-densities in scaled coordinates: affine, or logarithmic (for ascents if log-normal priors are wide)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ FARTHEST = 40.0
 class ScaledDensity:
     """A log-density in the coordinates u = (theta − offset)/scale, in which metrics and widths are of order one.
 
-    By default, coordinates with two finite bounds lie between 0 and 1. The values are the density of theta without
-    the Jacobian, which is constant for an affine map.
+    By default, coordinates with two finite bounds lie between 0 and 1. Values are densities of theta. The Jacobian
+    is omitted, because it is constant for an affine map.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class ScaledDensity:
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives ∂θ/∂u: here the constant `scale` (ndim,); (n, ndim) if they depend on theta."""
+        """Return the derivatives ∂θ/∂u: here the constant `scale` (ndim,), in subclasses possibly (n, ndim)."""
         return self.scale
 
     def log_prob(self, u: Any) -> Any:
@@ -95,9 +95,9 @@ class LogScaledDensity(ScaledDensity):
     are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is this wide, all values
     equal those of `ScaledDensity` to the last bit.
 
-    In θ, an ascent that has moved far out does not return. A nearly rigid spring has no influence on the modes,
-    and the slope of the log-density decreases as 1/θ. In log θ the log-prior is a parabola, whose slope leads
-    back.
+    In θ, an ascent that has moved far out does not return, because a nearly rigid spring does not influence the
+    modes and the slope of the log-density decreases as 1/θ. In log θ the log-prior is a parabola, whose slope
+    leads back.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ def scaled_density(density: LogDensity) -> ScaledDensity:
 
 
 class LogarithmicDensity:
-    """The posterior in the coordinates u of `LogScaledDensity`, with their Jacobian, for samplers.
+    """The posterior in the coordinates u of `LogScaledDensity`, including the Jacobian, for samplers.
 
     With a log-normal prior the density of θ is skewed, whereas the density of log θ is nearly Gaussian.
 
@@ -170,13 +170,13 @@ class LogarithmicDensity:
 
 
 def clip_to_support(scaled: ScaledDensity, problem: Posterior) -> ScaledDensity:
-    """Limit theta in `scaled` to values with positive prior density; change `scaled` in place and return it."""
+    """Limit theta in `scaled` to values with positive prior density. This changes and returns `scaled` itself."""
     scaled.theta_lower, scaled.theta_upper = problem.support
     return scaled
 
 
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
-    """Return the scaled density for ascents, with logarithms of the parameters whose priors span decades.
+    """Return the scaled density for ascents, with the logarithms of parameters whose log-normal priors are wide.
 
     At a bound where the density vanishes, such as a standard deviation of 0, theta is the next float inside.
     """

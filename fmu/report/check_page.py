@@ -1,4 +1,4 @@
-"""The HTML page written by `fmu check`, which examines a problem before sampling."""
+"""Write the HTML page of `fmu check`, which examines a problem before sampling."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return the section that compares test and model at the sensors, in a list that is empty without shapes."""
+    """Return the section that compares test and model at the sensors, as a list; empty if there are no shapes."""
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -204,7 +204,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return the section on measured frequency response functions, in a list that is empty without FRFs."""
+    """Return the section on measured frequency response functions, as a list; empty if there are none."""
     if found.frfs is None:
         return []
     table = found.frfs.table().reset_index()
@@ -224,7 +224,7 @@ def _responses(found: Check) -> list[PageSection]:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return one figure per measured mode, for at most 12, of the computed mode paired with it."""
+    """Return a figure of each measured mode with the computed mode paired with it, for at most 12 modes."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):

@@ -1,4 +1,4 @@
-"""Contents of a report page as data classes; the HTML templates determine their layout."""
+"""Contents of a report page as data classes. The HTML templates determine the layout."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _Part:
-    """Base class for the parts of a page, with the properties that determine their layout."""
+    """Base class for the parts of a page. Its properties control how the part is laid out."""
 
     is_words: ClassVar[bool] = False
     fills_desk: ClassVar[bool] = False
@@ -159,7 +159,7 @@ class Picture(_Part):
 
     @property
     def packed(self) -> str:
-        """Content in the compressed format that the page script reads."""
+        """The content in the compressed format that the page script reads."""
         return pack(self.content)
 
 
@@ -179,7 +179,9 @@ class Pictures(_Part):
 
 @dataclass(frozen=True, eq=False)
 class View(_Part):
-    """A structure drawing that the script ``structure.js`` lets readers rotate; hidden without it and in print.
+    """A structure drawing that readers can rotate with the script ``structure.js``.
+
+    It is hidden if scripts are disabled, and in print.
 
     Attributes
     ----------
@@ -197,7 +199,7 @@ class View(_Part):
 
     @property
     def packed(self) -> str:
-        """Content in the compressed format that the page script reads."""
+        """The content in the compressed format that the page script reads."""
         return pack(self.content)
 
 
@@ -241,7 +243,7 @@ class PageSection:
 
 @dataclass(frozen=True)
 class Omitted:
-    """A section for which a run has no content.
+    """A section that is not shown because a run has no content for it.
 
     Attributes
     ----------
@@ -277,7 +279,7 @@ class Verdict:
     is_good : bool or None
         Whether the answer is favourable; None if it is neither good nor bad.
     because : str
-        Heading for the list of reasons; empty for a fact, which needs no reasons.
+        Heading for the list of reasons. It is empty if the answer states a fact, which needs no reasons.
     reasons : tuple of str
         Reasons for the answer.
     said : str
@@ -376,13 +378,13 @@ def picture(
     axes : Axes or ndarray of Axes
         The axes of one figure.
     key : str
-        A prefix for the ids in the SVG element, unique on the page; also the picture's name.
+        A prefix for the ids in the SVG element, unique on the page. It is also the picture's name.
     alt : str
         A description of the figure in words and numbers.
     caption : str
         The text below the figure.
     data : mapping, optional
-        The picture's content. By default `figure_data` reads it from the figure.
+        The picture's content. By default `figure_data` extracts it from the figure.
     """
     figure = np.asarray(axes).ravel()[0].figure
     svg = inline_svg(figure, key, alt)

@@ -103,14 +103,14 @@ def export(
     run_directory : path-like
         A directory that `fmu run` wrote.
     sampler : str, optional
-        The sampler whose draws are used. By default `fmu.analysis.convergence.diagnosis.choose_run` selects it: a
-        converged one if there is any, with the largest effective sample size.
+        The sampler whose draws are used. By default `fmu.analysis.convergence.diagnosis.choose_run` selects it:
+        among the converged samplers, if there are any, the one with the largest effective sample size.
     at : {"mean", "map"}
         The exported values: the posterior mean, or the highest posterior maximum that the run found.
     out : path-like, optional
         Output directory. The default is ``export`` in the run's directory.
     model : path-like, optional
-        The problem file, needed if the run has no copy of it, or if the files that it names have moved.
+        The problem file. It is needed if the run has no copy of it, or if the files that it names have moved.
 
     Returns
     -------
@@ -131,8 +131,8 @@ def export(
         the exported values (`fmu.formats.decks`).
 
         For a problem with several tests, ``theta.csv`` lists every inferred quantity. Start values, decks and
-        matrices then use the shared parameters, the reference state, the mean or median of each population, and,
-        for a parameter that varies freely, its value in the first test or group, all at mean covariates. The
+        matrices then use the shared parameters, the reference state, and the mean or median of each population,
+        all at mean covariates. If a parameter varies freely, they use its value in the first test or group. The
         matrices do not include masses and springs that were added for a test.
 
     Raises
@@ -184,10 +184,10 @@ def export(
 
 
 def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return the inferred quantity that is exported as the value of each structural parameter, keyed by its name.
+    """Return the inferred quantity that is exported as the value of each structural parameter.
 
-    This quantity is the parameter itself, its population's mean or median, or its value in the first test or
-    group.
+    The dict is keyed by parameter name. The quantity is the parameter itself, its population's mean or median, or
+    its value in the first test or group.
     """
     found = {}
     for parameter in parameters:
@@ -215,7 +215,7 @@ def read_problem(directory: Path, trace: xr.DataTree, model: Path | None = None)
     Raises
     ------
     ValueError
-        If it is not the problem that was sampled, because a file has changed.
+        If a file has changed, so that the problem is not the one that was sampled.
     """
     source = read_saved(directory, model)
     problem = source.load()
@@ -327,7 +327,7 @@ def _incomplete(file: Path) -> list[str]:
 def write_matrices(
     model: SeparableModel, places: Mapping[str, Hashable], theta: FloatArray, about: str, folder: Path
 ) -> None:
-    """Write the stiffness and mass matrices at `theta` in Matrix Market format, and their row table as CSV.
+    """Write the stiffness and mass matrices at `theta` in Matrix Market format, and a CSV table of their rows.
 
     Only the lower triangles are written.
     """

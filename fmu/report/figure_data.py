@@ -1,7 +1,7 @@
-"""Extract the numbers plotted in a Matplotlib figure, for values at the pointer, zooming and CSV files.
+"""Extract the numbers plotted in a Matplotlib figure, to show values at the pointer, zoom and export CSV files.
 
-Matplotlib is the only renderer: the page shows its SVG, and the script works on this SVG, so that print and
-screen show the same numbers. A JavaScript plotting library would draw every figure a second time.
+Matplotlib is the only renderer. The page shows its SVG, and the script works on this SVG, so that print and
+screen show the same numbers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
     figure : Figure
         A figure whose layout is final.
     most : int
-        Approximate largest number of path points to return.
+        Approximate upper limit on the number of path points to return.
 
     Returns
     -------
@@ -69,11 +69,12 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
 
 
 def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> dict[str, object]:
-    """Return draws, and the model frequencies at these draws, for the panels of `plot_corner`, as a dict.
+    """Return the draws in a corner plot, and the model frequencies at these draws, as a dict.
 
     Parameters
     ----------
     axes : ndarray of Axes, shape (n, n)
+        The result of `plot_corner`.
     trace : xarray.DataTree
     names : sequence of str
         The n parameters in the plot.
@@ -129,7 +130,7 @@ def plain(text: str) -> str:
 
 
 def _below(axes: Axes) -> str:
-    """Return the label of the x-axis, which panels without a label take from a panel that shares the axis."""
+    """Return the label of the x-axis. If it is empty, return the label of a panel that shares the axis."""
     together = axes.get_shared_x_axes().get_siblings(axes)
     return axes.get_xlabel() or next((other.get_xlabel() for other in together if other.get_xlabel()), "")
 
@@ -151,7 +152,7 @@ def _axis(axis: Axis, limits: tuple[float, float], label: str) -> dict[str, obje
 
 
 def _paths(axes: Axes) -> list[Line2D]:
-    """Return the lines in `axes` that show data, leaving out reference lines that cross the whole axes."""
+    """Return the lines in `axes` that show data. Reference lines that cross the whole axes are left out."""
     return [
         line for line in axes.lines if line.get_transform() == axes.transData and len(np.asarray(line.get_xdata()))
     ]

@@ -1,4 +1,4 @@
-"""An output directory whose results are published together, and in which no other file is changed.
+"""Publish the results in an output directory together, without changing any other file in it.
 
 The files are written to a hidden directory and moved into place when all of them are complete. A manifest in the
 output directory lists the files written; only files listed in it are ever replaced or removed.
@@ -56,7 +56,7 @@ class OutputDirectory:
 
     @contextmanager
     def stage_files(self) -> Iterator[Path]:
-        """Yield an empty directory for new files; publish them at the end unless an error occurs."""
+        """Yield an empty directory for new files; at the end, publish them unless an error occurred."""
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))
@@ -117,9 +117,9 @@ class OutputDirectory:
 
 
 def _relative(names: Iterable[str]) -> list[str]:
-    """Return the names, after checking them.
+    """Return the names as a list. Raise ValueError if a name is not a path below the directory.
 
-    Raise ValueError if a name is not a path below the directory, or is the name of the manifest.
+    A name must not be the name of the manifest either.
     """
     checked = []
     for name in names:

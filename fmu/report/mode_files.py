@@ -28,11 +28,11 @@ _KEPT = 0.9
 def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> list[str]:
     """Write the structure's mode shapes at `theta` (ndim,), and the measured mode shapes, to `folder`.
 
-    ``modes.vtu`` contains the mesh, the displacements in each updated mode and in each measured mode. Measured
+    ``modes.vtu`` contains the mesh and the displacements in each updated mode and in each measured mode. Measured
     modes are expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode. If pyuff is
     installed, ``updated.uff`` contains nodes, elements and updated modes, and ``measured.uff`` the sensors and the
-    measured modes, as datasets 2411, 2412 and 55. Nothing is written for a model without geometry or with several
-    tests.
+    measured modes, as datasets 2411, 2412 and 55. Nothing is written if the model has no geometry or there are
+    several tests.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def _expand_shapes(
 ) -> tuple[Expanded | None, list[str]]:
     """Expand the measured shapes to all degrees of freedom; return them and a list of warnings.
 
-    The expanded shapes are None if no shapes were measured or if the expansion fails.
+    The first item is None if no shapes were measured or if the expansion fails.
     """
     data = problem.data
     if data.shapes is None:

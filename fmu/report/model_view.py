@@ -1,4 +1,4 @@
-"""Interactive views of the structure: modes before and after updating, and parameter changes as colours."""
+"""Interactive views of the structure, with modes before and after updating, coloured by parameter changes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def model_view(run: ReportedRun) -> View | None:
 
 
 def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond: str) -> View:
-    """Return a view of the structure, coloured by the parameters' losses and by their probabilities.
+    """Return a view of the structure, coloured by each parameter's loss and by the probability of a large loss.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
 
 
 def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, object]:
-    """Return nodes, elements, element groups and the text for each group as a dict.
+    """Return nodes, elements, element groups and a text for each group as a dict.
 
-    Elements that are changed by the same parameters form one group.
+    The elements in a group are changed by the same parameters.
     """
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
@@ -122,8 +122,8 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
 def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
     """Return each parameter's change relative to its start value, its sd, and a text with both, keyed by name.
 
-    The change and its sd are NaN for a parameter that the data did not inform. Parameters without a nonzero start
-    value are omitted.
+    The change and its sd are NaN for a parameter that the data did not inform. A parameter is omitted if its start
+    value is zero or unknown.
     """
     left, found = not_informed(run.trace), {}
     for name in run.names:
@@ -138,7 +138,7 @@ def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
 
 
 def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, object]]:
-    """Return colour scales for the largest parameter change in each element and for its standard deviation."""
+    """Return two colour scales: the largest parameter change in each element, and its standard deviation."""
     known = _changes(run)
     ratio, spread = (np.array([known.get(name, (np.nan,) * 2)[k] for name in names]) for k in (0, 1))
     of_element = np.where(found.changed & np.isfinite(ratio), np.abs(ratio), -1.0)
@@ -163,7 +163,7 @@ def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return one dict of texts per mode: its label, and its frequencies (before, after, measured)."""
+    """Return a dict of texts for each mode: its label, and its frequencies (before, after, measured)."""
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []
     for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
@@ -174,7 +174,7 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
-    """Return displacements (mode, node, direction) before updating, at the posterior mean and measured, as a dict.
+    """Return displacements (mode, node, direction) as a dict: before updating, at the posterior mean, measured.
 
     The measured shapes are expanded to all nodes; they are omitted for large meshes.
     """

@@ -1,4 +1,4 @@
-"""Compress the data for a page's scripts into text without characters special in HTML."""
+"""Compress the data for a page's scripts into text without special HTML characters."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def pack(content: object) -> str:
 
 
 def _plain(content: object, arrays: list[bytes]) -> object:
-    """Return content as JSON types, with its longer arrays appended to `arrays`."""
+    """Return content as JSON types. Its longer arrays are appended to `arrays`."""
     table = mapping_in(content)
     if table is not None:
         return {str(key): _plain(value, arrays) for key, value in table.items()}

@@ -1,4 +1,4 @@
-"""The HTML report on a run: a self-contained page for each sampler, and an index page that compares them."""
+"""Write the HTML report on a run: a self-contained page for each sampler, and an index page that compares them."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, ReportedRun]) -> Page:
-    """Return the report page for one run; `files` has the pages' file names and `runs` all runs of the report."""
+    """Return the report page for one run.
+
+    `files` maps run names to the file names of the pages. `runs` are all runs in the report.
+    """
     others = [Link("All samplers", f"{INDEX}.html")] if len(runs) > 1 else []
     others += [Link(other.title, files[name]) for name, other in runs.items() if name != run.name]
     sections = _without_omissions(of_a_sampler(run))
@@ -89,7 +92,7 @@ def _dates(runs: Iterable[ReportedRun]) -> str:
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
-    """Return the sections to show, followed by a section that lists the omitted ones with the reasons."""
+    """Return the sections to show, followed by a section that lists each omitted section with the reason."""
     found = tuple(found)
     sections = tuple(section for part in found for section in part.shown)
     omitted = tuple(sentence for part in found for sentence in part.omissions)
@@ -123,13 +126,13 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
 
 
 def _judged_run(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run whose draws the model verdicts are based on, as selected by `choose_run`."""
+    """Return the run, selected by `choose_run`, whose draws are the basis for the verdicts on the model."""
     verdicts = {name: run.diagnosis for name, run in runs.items()}
     return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
-    """Return the verdicts on the samplers, followed by the verdicts on the model from the selected run's draws.
+    """Return the verdicts on the samplers, then the verdicts on the model, which use the selected run's draws.
 
     The reasons for the model verdicts are given only on the selected run's page.
     """
@@ -178,7 +181,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
 
 
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:
-    """Write the report on traces in memory as `write_report` does; return the path to its index page."""
+    """Write the report on traces in memory, as `write_report` does; return the path to its index page."""
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])
     with output.stage_files() as stage:
@@ -233,7 +236,7 @@ def publish_models(
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        One trace of each model, with the reference model first.
+        One trace per model, keyed by model name, with the reference model first.
     found : ModelComparison
     run_directory : path-like
         The page is ``report/index.html`` in this directory.
@@ -288,7 +291,7 @@ def prose(text: str) -> Markup:
 
 @cache
 def _script() -> tuple[Markup, str]:
-    """Return the script used on all pages and its hash, which makes browsers run only this script."""
+    """Return the script used on all pages, and its hash, with which browsers allow no other script."""
     files = resources.files("fmu.report") / "templates"
     parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
     text = re.sub(r"^\s+|^//.*\n", "", f'"use strict";\n{"".join(parts)}', flags=re.MULTILINE)

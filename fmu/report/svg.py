@@ -1,4 +1,4 @@
-"""Convert Matplotlib figures to compact SVG for a page, with a description, real text and unique ids."""
+"""Convert Matplotlib figures to compact SVG for a page, with a text description, real text and unique ids."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _ticks_placed_once() -> Iterator[None]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Apply the figure's layout once; Matplotlib itself would draw the whole figure once more to do so."""
+    """Apply the figure's layout once, without drawing the whole figure for it as Matplotlib does."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()
@@ -117,7 +117,10 @@ def _arrange(figure: Figure) -> None:
 
 
 def _clean(tag: str, key: str, used: set[str]) -> str:
-    """Return a tag without font names, with rounded numbers, and with `key` prefixed to the ids that are used."""
+    """Return a tag without font names and with rounded numbers.
+
+    Ids in `used` get the prefix `key`; other ids are removed.
+    """
     tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
     tag = re.sub(r' d="([^"]*)"', _short_path, tag)
     tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _round_coordinates, tag)
@@ -167,7 +170,7 @@ def _round_coordinates(attribute: re.Match[str]) -> str:
 
 
 def _short_path(attribute: re.Match[str]) -> str:
-    """Return a path attribute; a long path of straight lines is written in relative tenths of a point."""
+    """Return a path attribute. A long path of straight lines is rewritten in relative tenths of a point."""
     path = attribute[1]
     if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):
         return _round_coordinates(attribute)

@@ -37,7 +37,7 @@ def updated_text(
     about : str
         The source of the values, written as a comment at the top.
     from_prior : collection of str
-        Parameters that the data did not inform, which is noted in a comment beside their values.
+        Parameters that the data did not inform. A comment beside each of their values says so.
     """
     import tomlkit
 

@@ -1,4 +1,4 @@
-"""Runs on disk: draws and chain states are saved during a run, so that it can be resumed.
+"""Runs on disk. Draws and chain states are saved during a run, so that it can be resumed.
 
 Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status, words and web for
 ``fmu watch``.
@@ -26,10 +26,10 @@ class Checkpoint:
     directory : path-like
         A directory for this run only, created if it does not exist.
     draws : int
-        Largest number of steps that a chain group loses if the run is killed.
+        Largest number of steps that each group of chains loses if the run is killed.
     seconds : float
-        Largest sampling time in s that a chain group loses if the run is killed. If a single step takes longer,
-        the group loses this step.
+        Largest sampling time in s that each group of chains loses if the run is killed. If a single step takes
+        longer, the group loses this step.
 
     Raises
     ------

@@ -24,7 +24,7 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """A saved state's entry for one step file.
+    """One step file, as listed in a saved state.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Segment(NamedTuple):
 
 
 class SavedState(NamedTuple):
-    """State of a chain group when it was saved.
+    """State of a group of chains when it was saved.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class SavedState(NamedTuple):
     elapsed_s : mapping of str to float
         Time in s that each phase of the run has taken.
     segments : list of Segment
-        The files of all steps so far.
+        The step files written so far.
     total : int
         Total number of steps in the current phase, for ``fmu watch``.
     """
@@ -75,7 +75,7 @@ class SavedState(NamedTuple):
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
-    """Return steps, and the points at which the model failed during them, as the bytes of an HDF5 file."""
+    """Return steps, and the failed points that occurred during them, as the bytes of an HDF5 file."""
     import h5py
 
     buffer = io.BytesIO()
@@ -114,7 +114,7 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: SavedState) -> bytes:
-    """Return a state as the bytes of a zip file; it contains NumPy arrays, one of which has the rest as JSON.
+    """Return a state as the bytes of a zip file of NumPy arrays. All other data are JSON in one of the arrays.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def packed_state(state: SavedState) -> bytes:
 
 
 def unpacked_state(payload: bytes) -> SavedState:
-    """Read the state from the bytes that `packed_state` returned; raise DamagedError for other bytes."""
+    """Read the state from the bytes that `packed_state` returned; raise DamagedError if they are damaged."""
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -191,7 +191,7 @@ def read_segment(directory: Path, segment: Segment) -> bytes:
 
 
 def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object], dict[str, AnyArray]]:
-    """Split off a tree's arrays; return the tree without them, and the arrays keyed by path.
+    """Split a tree into its arrays and the rest; return the rest, and the arrays keyed by path.
 
     A path is written like ``state/position``.
     """

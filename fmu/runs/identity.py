@@ -1,4 +1,4 @@
-"""A saved run's identity: its configuration and the package versions, which determine the draws."""
+"""Identify a saved run by its configuration and the package versions, which determine the draws."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Identity:
     def read(cls, directory: Path) -> Identity | None:
         """Read the identity of the run in a directory.
 
-        Return None if there is none; raise DamagedError if it is damaged.
+        Return None if the directory has none; raise DamagedError if it is damaged.
         """
         path = directory / FILE
         if not path.is_file():
@@ -58,7 +58,7 @@ class Identity:
     def check(self, directory: Path) -> None:
         """Raise ValueError if the directory contains another run.
 
-        A damaged file is ignored, because every saved state also contains the hash of its run.
+        A damaged identity file is ignored, because every saved state also contains the hash of its run.
         """
         try:
             found = Identity.read(directory)
@@ -92,7 +92,7 @@ def arithmetic() -> str:
 
 
 def _differences(there: object, here: object, where: str = "") -> Iterator[str]:
-    """Yield the differences between two configurations, in words."""
+    """Yield the differences between two configurations as text."""
     before, after = list_in(there), list_in(here)
     tables = mapping_in(there), mapping_in(here)
     if before is not None and after is not None and len(before) == len(after):

@@ -1,4 +1,4 @@
-"""A directory lock that one process holds at a time, and notes for ``fmu watch``, which needs no lock."""
+"""Lock a directory so that only one process uses it, and write notes for ``fmu watch``, which needs no lock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ProcessInfo:
     host : str
     pid : int
     began : float
-        Time at which the process began its run in the directory, in s since 1970.
+        Time at which the process began to use the directory, in s since 1970.
     birth : str
         Start time of the process, which distinguishes it from later processes with the same pid; empty if unknown.
     """
@@ -41,7 +41,7 @@ class ProcessInfo:
     birth: str
 
     def is_alive(self) -> bool | None:
-        """Return True if the process still exists, False if not, and None if this machine cannot tell."""
+        """Return True if the process exists, False if it has ended, or None if this machine cannot tell."""
         if self.host != socket.gethostname() or os.name != "posix":
             return None
         try:
@@ -92,14 +92,14 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove this process's notes from a directory; only a killed process leaves notes behind."""
+    """Remove this process's notes from a directory. Notes remain only if a process is killed."""
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)
 
 
 def present(directory: Path) -> ProcessInfo | None:
-    """Return the process that is running in a directory or was killed in it; None if no note is readable."""
+    """Return the process that is running in a directory or was killed in it, or None if no note is readable."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
@@ -107,7 +107,7 @@ def present(directory: Path) -> ProcessInfo | None:
 
 
 class PhaseNote:
-    """A note in a directory about the current phase; there is none between two phases.
+    """A note in a directory about the current phase. Between two phases there is no note.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class PhaseNote:
         self._noted = ("", 0.0)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Write the progress of a phase to the note, at most twice a second; remove the note if `phase` is ""."""
+        """Write a phase's progress to the note, at most twice a second. Remove the note if `phase` is empty."""
         now = time.monotonic()
         name, at = self._noted
         if name == phase and now < at + _NOTED_S:

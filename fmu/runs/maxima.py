@@ -1,4 +1,4 @@
-"""Save posterior maxima with a run so that a resumed run need not search for them again."""
+"""Save a run's posterior maxima, so that a resumed run need not search for them again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FILE = "maxima.nc"
 
 
 def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> None:
-    """Write the maxima to a directory, with a hash of the posterior."""
+    """Write the maxima and a hash of the posterior to a directory."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import with_maxima

@@ -1,4 +1,4 @@
-"""New tests that have been compared with a run, one per row in its directory's ``predictions.csv``."""
+"""Save comparisons of new tests with a run, one row per test, in ``predictions.csv`` in the run's directory."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Row = Mapping[str, str]
 
 
 class Predictions:
-    """Predictions saved with a run, which are read and extended within a block of `open_predictions`.
+    """Predictions saved with a run. Read and extend them only within an `open_predictions` block.
 
     Parameters
     ----------
     directory : Path
         The run's directory.
     measured : sequence of str
-        Columns for a test's measured data; the first is its name.
+        Columns for a test's measured data. The first column is the test's name.
     found : sequence of str
         Columns for the prediction results.
     draws : str
@@ -66,7 +66,7 @@ class Predictions:
         return [i for i, test in enumerate(tests) if test[NAME] not in known]
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Append rows and write the file; if the process is killed, the file has its old or its new content."""
+        """Append rows and write the file. If the process is killed, the file has its old or its new content."""
         self.rows += [{**row, "draws_of": self._draws} for row in rows]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, lineterminator="\n")
@@ -98,7 +98,7 @@ class Predictions:
 def open_predictions(
     directory: Path, measured: Sequence[str], found: Sequence[str], draws: str
 ) -> Iterator[Predictions]:
-    """Yield a run's predictions, which only this process can read and write within the block."""
+    """Yield a run's predictions. Within the block, no other process can read or write them."""
     try:
         with FileLock(directory / f".{FILE}.lock", timeout=_WAIT_S):
             yield Predictions(directory, measured, found, draws)

@@ -22,12 +22,12 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of one chain group, or of all chain groups together; NaN and None mean unknown.
+    """Progress of one group of chains, or of all groups together. Unknown values are NaN or None.
 
     Attributes
     ----------
     group : str
-        Which group out of how many, such as ``2/4``; empty for all groups together.
+        The group's number and the number of groups, such as ``2/4``; empty for all groups together.
     phase : str
         "warmup", "draws", or empty if nothing has been saved yet.
     done : int
@@ -66,7 +66,7 @@ class Progress:
 
 
 class KeptGroup(NamedTuple):
-    """A chain group as last saved.
+    """A group of chains as last saved.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class KeptGroup(NamedTuple):
     accept : float
         Fraction of accepted moves in the phase.
     draws : ndarray, shape (chains, steps, walkers, ndim), or None
-        None if there are no draws, or if a file of draws is damaged.
+        None if there are no draws, or if a step file is damaged.
     """
 
     state: SavedState
@@ -105,7 +105,7 @@ class KeptGroup(NamedTuple):
         return sum(self.state.elapsed_s.values())
 
     def seconds_left(self, warmup: int, draws: int | None) -> float | None:
-        """Return the time in s remaining when the group was saved, at its phase's pace, or None if unknown."""
+        """Return the remaining time in s at the time of the save, at the phase's pace, or None if unknown."""
         done = self.done
         if draws is None or done[self.phase] == 0:
             return None
@@ -149,7 +149,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """Data for diagnostics from a step file: accepted moves, all moves, and draws (None in warm-up)."""
+    """The data in a step file that diagnostics need: accepted moves, all moves, and draws (None in warm-up)."""
 
     accepted: int
     moves: int
@@ -157,7 +157,7 @@ class _Steps(NamedTuple):
 
 
 class GroupReader:
-    """Reads a chain group's files, repeatedly if needed; each step file is read only once.
+    """Reads the files of a group of chains, repeatedly if needed. Each step file is read only once.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class GroupReader:
         self._read: dict[tuple[str, str], _Steps] = {}
 
     def read(self) -> tuple[KeptGroup | None, list[str]]:
-        """Return the group, or None if it has no undamaged state, and a list of messages about damaged files."""
+        """Return the group and a list of messages about damaged files. The group is None if no state is intact."""
         damaged: list[str] = []
         found = self._last_state(damaged)
         if found is None:
@@ -276,7 +276,7 @@ def of_trace(path: Path) -> Progress:
 
 
 def why(error: Exception) -> str:
-    """Return the reason given by an error, without the path in an OSError."""
+    """Return the reason in an error message, without the path that an OSError contains."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
@@ -285,7 +285,10 @@ def _per_s(solves: int, seconds: float) -> float:
 
 
 def _diagnostics(kept: Sequence[KeptGroup | None]) -> dict[str, float]:
-    """Return R-hat and effective sample size from the steps that all groups have; empty if there are too few."""
+    """Return R-hat and effective sample size, computed from the steps that all groups have.
+
+    The dict is empty if there are too few steps.
+    """
     draws = [one.draws for one in kept if one is not None and one.draws is not None]
     steps = min((x.shape[1] for x in draws), default=0)
     if len(draws) < len(kept) or steps < _FEWEST:

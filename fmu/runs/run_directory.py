@@ -1,4 +1,4 @@
-"""The output directory of ``fmu run`` during a run: its lock, and the files needed to resume the run."""
+"""Manage the output directory of ``fmu run`` during a run: its lock, and the files for resuming the run."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class RunDirectory:
         self._lock.release()
 
     def abandon(self) -> None:
-        """Remove the folder ``checkpoints`` of a run that cannot be carried out, unless it contains draws."""
+        """Remove the folder ``checkpoints`` if the run cannot be carried out, unless the folder contains draws."""
         if not any(self.folder.glob("*/*/state-*")):
             self.end_run()
 
@@ -66,7 +66,7 @@ class RunDirectory:
         return self.folder / name
 
     def take_ledger(self, sampler: str, to: Path) -> None:
-        """Copy the list of a sampler's failed solves to file `to`; if there is no list, remove that file."""
+        """Copy the list of a sampler's failed solves to the file `to`. If there is no list, remove the file."""
         ledger = self.of_sampler(sampler) / LEDGER
         if ledger.is_file():
             shutil.copyfile(ledger, to)
@@ -87,5 +87,5 @@ class RunDirectory:
 
 
 def folder_of_order(directory: Path) -> Path:
-    """Return the folder with a run's problem and options: ``checkpoints`` until the run has ended."""
+    """Return the folder with a run's problem and options: ``checkpoints`` until the run ends, then `directory`."""
     return directory / FOLDER if (directory / FOLDER / ORIGIN).is_file() else directory

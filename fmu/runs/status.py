@@ -1,4 +1,4 @@
-"""A run's state, read from the files in its directory without taking its lock or writing anything."""
+"""Read a run's state from the files in its directory, without taking its lock or writing anything."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class RunReading:
 
 
 class RunReader:
-    """Reads a run's state, repeatedly if needed; files that do not change are read only once.
+    """Reads a run's state, repeatedly if needed. Files that do not change are read only once.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class RunReader:
         return reading
 
     def _of_python(self) -> RunReading:
-        """Return the state of an `fmu.sample` run whose checkpoint is the directory."""
+        """Return the state of a run started by `fmu.sample`, whose checkpoint is the directory."""
         at_work = present(self.directory)
         sampler = self._read_sampler("", self.directory, _state(at_work, self.directory), {})
         groups = sampler.groups or (sampler.together,)
@@ -121,7 +121,7 @@ class RunReader:
         return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
-        """Return the state of an ``fmu run`` run whose problem and options are in the folder `where`."""
+        """Return the state of a run started by ``fmu run``; `where` contains its problem and options."""
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
@@ -148,7 +148,7 @@ class RunReader:
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _read_order(self, where: Path) -> tuple[Orders, tuple[str, ...]]:
-        """Return the run's options and the names of the finished samplers; both empty if unreadable."""
+        """Return the run's options and the finished samplers' names. Both are empty if they cannot be read."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
@@ -220,7 +220,7 @@ def _begins(directory: Path) -> bool:
 
 
 def _youngest(directory: Path) -> float:
-    """Return the last time a file in the directory was written, in s since 1970, or 0 if there is none."""
+    """Return the time in s since 1970 at which a file in the directory was last written, or 0 without files."""
     times = [0.0]
     for path in directory.rglob("*"):
         try:

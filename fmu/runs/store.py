@@ -1,4 +1,4 @@
-"""A run's checkpoint: draws are added in files that never change, and new states replace old ones."""
+"""A run's checkpoint. Draws are added in files that never change, and new states replace old ones."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ _STATES = 2  # number of states to keep: if the last one is damaged, the previou
 
 
 class CheckpointWarning(UserWarning):
-    """Warns about a damaged file in a checkpoint; some steps must be drawn again."""
+    """Warns that a file in a checkpoint is damaged, so that some steps must be drawn again."""
 
 
 class OtherArithmeticWarning(UserWarning):
-    """Warns that a run is resumed with another CPU or BLAS; its draws are valid, but differ in the last bits."""
+    """Warns that a run is resumed with another CPU or BLAS. The draws are valid, but differ in the last bits."""
 
 
 class Store:
-    """A run's checkpoint in a directory, which saves and restores the chain groups.
+    """A run's checkpoint in a directory, in which the groups of chains are saved and from which they are restored.
 
     Each group has its own directory; the first is ``group-1``. Its step files ``steps-000001.h5``, … contain the
     draws in HDF5. A state file such as ``state-000007`` contains the data that the sampler needs to continue after
@@ -115,7 +115,7 @@ class Store:
         return SavedGroup(state.group_state, state.elapsed_s, files.steps())
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return True if a group must be saved, given the number of steps since its last save."""
+        """Return True if a group must be saved now. `steps` is the number of steps since its last save."""
         waited = time.monotonic() - self._saved_at[group]
         return steps >= self.most_steps or waited >= self.most_seconds - LIVE_S
 
@@ -154,7 +154,7 @@ class Store:
         self.close()
 
     def _tidy(self) -> None:
-        """Remove killed processes' unfinished files, and ``failures.csv``, which is rebuilt from the steps."""
+        """Remove unfinished files of killed processes, and ``failures.csv``, which is rebuilt from the steps."""
         for leftover in (*self.directory.rglob(".*.part"), self.directory / LEDGER):
             with suppress(OSError):  # a remaining file does no harm
                 leftover.unlink(missing_ok=True)
@@ -173,7 +173,7 @@ class Store:
 
 
 class _GroupFiles:
-    """The files of one group: all files of steps so far, and the latest states."""
+    """The files of one group: all step files so far, and the latest states."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -182,7 +182,7 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest state that is undamaged together with its step files, or None if there is none.
+        """Return the newest state that is undamaged and whose step files are undamaged, or None if there is none.
 
         Later calls of `append` continue from this state.
         """
@@ -209,7 +209,7 @@ class _GroupFiles:
             yield segment.phase, segment.first, unpacked_steps(read_segment(self.directory, segment))
 
     def failures(self, group: int) -> list[FailedSolves]:
-        """Return the failed solves, with one entry for each step file that contains failures."""
+        """Return the failed solves, with one entry per step file that contains any."""
         return [
             _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments
@@ -217,7 +217,7 @@ class _GroupFiles:
         ]
 
     def append(self, configuration: str, pending: PendingGroup) -> Segment:
-        """Write a step file and a state that lists it; remove older states; return the step file's entry."""
+        """Write a step file and a state that lists it, and remove older states. Return the step file's entry."""
         make_directory(self.directory)
         content = packed_steps(pending.steps, pending.failures)
         stats = pending.steps.stats

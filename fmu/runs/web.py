@@ -1,4 +1,4 @@
-"""A web page that follows a run, for browsers on this machine or at the other end of an SSH tunnel.
+"""Serve a web page that follows a run, for browsers on this machine or at the other end of an SSH tunnel.
 
 Anyone who knows the address may watch and stop the run. The address contains a random token, and every request
 without the token is refused. A request whose Host header names another machine is also refused. This protects
@@ -93,7 +93,7 @@ class WatchServer(ThreadingHTTPServer):
         self.address = f"http://{shown}:{self.server_port}/{self._token}/"
 
     def reading(self) -> RunReading:
-        """Return the run's state, at most `every` seconds old; raise ValueError if the directory is gone."""
+        """Return the run's state, at most `every` seconds old. Raise ValueError if the directory is gone."""
         with self._lock:
             if not self.closing.is_set() and time.monotonic() - self._read_at >= self.every:
                 self._reading = self._reader.read()
@@ -101,7 +101,7 @@ class WatchServer(ThreadingHTTPServer):
             return self._reading
 
     def stop_run(self) -> str:
-        """Send SIGTERM to the run's process; return the reason why this failed, or an empty string.
+        """Send SIGTERM to the run's process. Return the reason if this failed, or an empty string.
 
         The process is taken from a new reading of the directory, or from the last one if another thread is reading
         and does not finish within `_PATIENCE` seconds.
@@ -171,7 +171,7 @@ class WatchServer(ThreadingHTTPServer):
 
 
 def why_not_to_stop(reading: RunReading) -> str:
-    """Return a sentence that says why a run cannot be stopped from this machine, or "" if it can."""
+    """Return a sentence that says why a run cannot be stopped from this machine; empty if it can be stopped."""
     who = reading.at_work
     if who is None or reading.state != RUNNING:
         return "It is not running."
@@ -181,7 +181,7 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return the page content as a dict: the reading, as printed by ``fmu watch --json``, and its text."""
+    """Return the page content as a dict: the JSON that ``fmu watch --json`` prints, and the reading as text."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,
@@ -198,7 +198,7 @@ def page_content(reading: RunReading) -> dict[str, object]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handles one connection."""
+    """Handler for one connection."""
 
     server: WatchServer
     server_version, sys_version = "fmu", ""

@@ -1,4 +1,4 @@
-"""Text about a run's state: a description, a table of samplers and groups, and how to resume the run."""
+"""Describe a run's state as text: in words, as a table of samplers and groups, and how to resume the run."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def state_of(reading: RunReading) -> str:
 
 
 def rows(reading: RunReading) -> list[tuple[str, ...]]:
-    """Return the table rows below `HEADER`: for each sampler, one row for all groups and then one per group."""
+    """Return the table rows below `HEADER`. Each sampler has one row for all groups, followed by one per group."""
     return [row for sampler in reading.samplers for row in _rows(sampler)]
 
 
 def to_resume(reading: RunReading) -> str:
-    """Return the instruction for resuming a stopped or killed run, or an empty string for any other run."""
+    """Return the instruction for resuming a run that was stopped or killed; empty for any other run."""
     if reading.state not in (STOPPED, KILLED):
         return ""
     if reading.is_of_command:
@@ -50,7 +50,7 @@ def to_resume(reading: RunReading) -> str:
 
 
 def why_no_traces(directory: Path) -> str:
-    """Return a message about a directory without traces, saying if its run is under way or can be resumed."""
+    """Return a message about a directory without traces. It says if a run is under way or can be resumed."""
     try:
         reading = RunReader(directory).read()
     except (ValueError, OSError):
@@ -102,7 +102,7 @@ def _format_number(value: float, digits: int) -> str:
 
 
 def _age(seconds: float) -> str:
-    """Return a time as a whole number in its largest unit: d, h, min or s."""
+    """Return a time in s as text: a whole number in its largest unit (d, h, min or s)."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
             return f"{fixed(seconds / size, 0)} {unit}"

@@ -1,4 +1,4 @@
-"""The posterior means and standard deviations from several runs, side by side."""
+"""Tabulate the posterior means and standard deviations from several runs side by side."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
-    """Return a table with a row per parameter of `problem`, SI units: ``unit``, and each run's mean and sd.
+    """Return a table with one row per parameter of `problem`, SI units: ``unit``, and each run's mean and sd.
 
-    The columns are named ``*_mean`` and ``*_sd`` after the run. Parameters that a trace lacks are NaN in its
-    columns.
+    The columns are named ``*_mean`` and ``*_sd`` after the run. They are NaN for a parameter that the run's trace
+    lacks.
     """
     columns: dict[str, object] = {"unit": problem.units}
     for name, trace in traces.items():
@@ -31,7 +31,7 @@ def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.D
 
 
 def moments_table(parameters: pd.DataFrame, names: Mapping[str, str]) -> str:
-    """Return the table from `moments` for a page, in customary units, with the traces' `names` in words."""
+    """Return the table from `moments` as text for a page, in customary units; `names` are the runs in words."""
     rows = []
     for parameter, row in rows_of(parameters):
         unit = customary_unit(row["unit"])

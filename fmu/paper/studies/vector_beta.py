@@ -46,10 +46,10 @@ class VectorBeta:
     ----------
     case, pairing : str
     modes : DataFrame
-        One row per measured mode. Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors
+        One row per measured mode. Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` are errors
         |f − f_m|/f_m in %: ``measured`` (without error), ``initial``, ``published`` (the paper's HMC column), and
-        ``scalar`` and ``vector``, the model at the posterior mean with the scalar and with the vector β. Columns
-        ``*_sigma_hz`` are the frequency error sd that corresponds to each β, in Hz.
+        ``scalar`` and ``vector`` (the model at the posterior mean with each β). Columns ``*_sigma_hz`` are the
+        frequency error sd that corresponds to each β, in Hz.
     parameters : DataFrame
         One row per parameter, SI units: ``unit``, and the posterior mean and sd with each β.
     runs : DataFrame
@@ -77,7 +77,7 @@ class VectorBeta:
 
     @property
     def outcome(self) -> str:
-        """Whether the vector β reduces the error in mode 1.
+        """The verdict on whether the vector β reduces the error in mode 1.
 
         It is ``"confirmed"``, ``"not confirmed"`` or, unless both runs converged, ``"cannot be judged"``.
         """
@@ -88,9 +88,9 @@ class VectorBeta:
 
 
 def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) -> xr.DataTree:
-    """Repeat the long HMC run of an experiment with a separate weight for every mode, and return the trace.
+    """Repeat an experiment's long HMC run with a separate weight for every mode, and return the trace.
 
-    Settings and seed are those of the long run.
+    The settings and the seed are the same as in the long run.
     """
     from fmu import cases
 

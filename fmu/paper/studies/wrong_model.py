@@ -1,7 +1,7 @@
-"""The experiments with a model that may be wrong: each mode predicted from the others, with and without scatter.
+"""Repeat the experiments with a model that may be wrong.
 
 The paper's likelihood assumes that the model is correct. Here its parameters may also scatter from mode to mode
-(`fmu.posterior.discrepancy.embedded`).
+(`fmu.posterior.discrepancy.embedded`). Each mode is predicted from the other modes, with and without scatter.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ class WrongModel:
     ) -> WrongModel:
         """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
-        With several tests, which have many modes, the draws are reweighted instead of repeating the update.
+        If there are several tests, which have many modes, the draws are reweighted instead of repeating the
+        update.
         """
         known = {
             model: with_left_out(traces[model], problem, np.inf if len(problem.tests) == 1 else 0.0)
@@ -100,7 +101,7 @@ class WrongModel:
 
 
 def allow_for_scatter(problem: UpdatingProblem) -> UpdatingProblem:
-    """Return one of the paper's problems with parameters that may scatter from mode to mode."""
+    """Return a copy of one of the paper's problems whose parameters may scatter from mode to mode."""
     return UpdatingProblem(
         problem.model, problem.data, problem.parameters, error="frequency", discrepancy=Discrepancy()
     )
@@ -109,7 +110,7 @@ def allow_for_scatter(problem: UpdatingProblem) -> UpdatingProblem:
 def study_wrong_model(
     result: Result, plan: Plan, progress: Report | None = None
 ) -> tuple[xr.DataTree, WrongModel]:
-    """Sample an experiment with scatter, and return the trace and the comparison with the long run."""
+    """Sample an experiment whose parameters may scatter; return the trace and a comparison with the long run."""
     from fmu.analysis.maxima.search import find_map
 
     problem = allow_for_scatter(result.problem)
@@ -150,7 +151,7 @@ HOW_TO_READ = (
 
 
 def summary_table(studies: Sequence[WrongModel]) -> str:
-    """Return a table with a row per study: modes inside their intervals, errors, τ and gain in log-evidence."""
+    """Return a table with one row per study: modes inside their intervals, errors, τ and log-evidence gain."""
     rows = []
     for study in studies:
         every, tau = dict(rows_of(study.runs)), dict(rows_of(study.parameters))["tau"]

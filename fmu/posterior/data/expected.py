@@ -1,4 +1,4 @@
-"""Modes that a model predicts, in place of measured ones while a test is planned."""
+"""Predict modes with a model, to use them in place of measured ones while a test is planned."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def expected_modes(
     parameters : sequence of Parameter
         Parameters of the model, used at their starting values.
     n_modes : int
-        Number of modes, from the lowest elastic one.
+        Number of modes: the lowest elastic modes or, for a user's function, the first modes that it returns.
     frequency_sd : float
         Relative standard deviation of the frequency measurement errors.
     sensors : sequence of (place, direction)

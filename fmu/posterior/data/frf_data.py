@@ -44,32 +44,33 @@ class FRFData:
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_lines,)
-        Line frequencies, ascending, evenly spaced or not. A line at 0 Hz is dropped.
+        Line frequencies in ascending order. They need not be evenly spaced. A line at 0 Hz is dropped.
     values : ndarray of complex, shape (n_frfs, n_lines)
         One FRF per row. NaN and 0 stand for missing values, which are not used.
     drives : tuple of (place, direction)
-        Node, and direction x, y, z, rx, ry or rz with or without a minus, of the force in each FRF.
+        Node and direction of the force in each FRF. The direction is x, y, z, rx, ry or rz, with or without a
+        minus.
     responses : tuple of (place, direction)
         Node and direction of the response in each FRF.
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
         Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
-        converted to its reciprocal, the receptance. This is correct for the quotient of one force and one
-        response, with no other force applied, but not for an entry in the inverse of a receptance matrix.
+        converted to its reciprocal, the receptance. This is correct if it is the quotient of one force and one
+        response, with no other force applied, but not if it is an entry in the inverse of a receptance matrix.
     sd : ndarray, shape (n_frfs, n_lines), optional
-        Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar
-        applies to all values; one number per FRF, shape (n_frfs, 1), to all its lines. NaN and 0 mean missing.
+        Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar applies
+        to all values; one number per FRF, shape (n_frfs, 1), applies to all its lines. NaN and 0 mean missing.
     coherence : ndarray, shape (n_frfs, n_lines), optional
-        Ordinary coherence γ², from 0 to 1. If `sd` is not given, it gives the standard deviations with `averages`:
-        |H| √((1 − γ²)/(2 γ² n)) for the real and imaginary parts (Bendat & Piersol 2010, *Random Data*, 4th ed.,
+        Ordinary coherence γ², from 0 to 1. If `sd` is not given, the standard deviations of the real and imaginary
+        parts are |H| √((1 − γ²)/(2 γ² n)) with n = `averages` (Bendat & Piersol 2010, *Random Data*, 4th ed.,
         section 9.2.4).
     averages : float, optional
         Number n of independent averages behind the coherence.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
-        The lines to use in updating. Defaults to all lines. The others validate the updated model.
+        The lines to use in updating. Defaults to all lines. The other lines validate the updated model.
     band : (float, float), optional
         Lowest and highest frequency to use, Hz.
     hits : int, optional
-        Number of repeated hits whose scatter gave `sd`, see `from_hits`.
+        Number of repeated hits whose scatter gave `sd`; see `from_hits`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
 
@@ -77,7 +78,8 @@ class FRFData:
     ------
     ValueError
         If the shapes differ, the frequencies do not ascend, an FRF has no values, two FRFs have the same points,
-        an sd is negative, a coherence is not from 0 to 1 or has no `averages`, or no line is used.
+        an sd is negative, a coherence is not from 0 to 1, only one of `coherence` and `averages` is given, or no
+        line is used.
     """
 
     frequencies_hz: ArrayLike
@@ -153,14 +155,14 @@ class FRFData:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
         The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom
-        (`freedom`). One in 20 Gaussian errors exceeds 1.96 sd. For the mean of 3 hits it is 2.4 in 20, for 5 hits
-        1.7, and for 10 hits 1.3. Use ten hits or more, or errors with Student's t distribution.
+        (`freedom`). Of 20 Gaussian errors, one on average exceeds 1.96 sd. For the mean of 3 hits the number is
+        2.4, for 5 hits 1.7, and for 10 hits 1.3. Use ten hits or more, or errors with Student's t distribution.
 
         Parameters
         ----------
         frequencies_hz : array_like, shape (n_lines,)
         values : array_like of complex, shape (n_hits, n_frfs, n_lines)
-            One FRF per hit; NaN where a hit failed. A line needs values from at least two hits.
+            The FRFs of each hit; NaN where a hit failed. A line needs values from at least two hits.
         drives, responses, kind
             The class attributes with these names.
         **options
@@ -194,9 +196,9 @@ class FRFData:
     ) -> Self:
         """Estimate FRFs from time records of one force and the responses to it.
 
-        H1 = S_fx/S_ff is correct if the noise is in the responses, H2 = S_xx/S_xf if it is in the force. The
-        coherence gives the standard deviations. A segment must be several times longer than the decay time
-        1/(2π ζ f); see `fmu.posterior.data.frf.estimates.estimate_frfs`.
+        H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
+        standard deviations are computed from the coherence. A segment must be several times longer than the decay
+        time 1/(2π ζ f); see `fmu.posterior.data.frf.estimates.estimate_frfs`.
 
         Parameters
         ----------
@@ -210,11 +212,11 @@ class FRFData:
             The class attributes with these names; all drives must be equal. Dynamic stiffness is not possible.
         estimator : {"H1", "H2"}
         window : str
-            Window of each segment, a name in `scipy.signal.get_window`; "boxcar" for records of hits.
+            Name of each segment's window in `scipy.signal.get_window`; use "boxcar" for records of hits.
         segment : int, optional
             Number of samples per segment. Defaults to an eighth of a long record, or the whole record of a hit.
         overlap : float
-            Share of a segment that the next one overlaps, from 0 to less than 1.
+            Share of a segment that the next segment overlaps, from 0 to less than 1.
         **options
             The class attributes ``use``, ``band`` and ``notes``.
 
@@ -254,7 +256,7 @@ class FRFData:
 
     @cached_property
     def used(self) -> BoolArray:
-        """Mask of the values used, (n_frfs, n_lines): in `use` and `band`, not missing, and with an sd > 0."""
+        """Mask of the values used, (n_frfs, n_lines): in `use` and `band`, not missing, and with an sd above 0."""
         there = self._chosen & np.isfinite(np.asarray(self.values))
         sd = self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
@@ -306,12 +308,12 @@ class FRFData:
 
     @check_arguments
     def with_bands(self, bands: Sequence[tuple[float, float]]) -> Self:
-        """Return the same FRFs, using only those lines that are also in one of the bands (low, high), Hz.
+        """Return the same FRFs with fewer lines in use: only lines in at least one of the bands (low, high), Hz.
 
         Raises
         ------
         ValueError
-            If no line is left.
+            If `bands` is empty, or no line is left.
         """
         if len(bands) == 0:
             raise ArgumentError("bands", "must have a band (low, high)", "none")
@@ -334,9 +336,9 @@ class FRFData:
 
     @check_arguments
     def pick_frequencies(self, n: Count | None = None) -> Peaks:
-        """Return the resonances' frequencies in Hz and damping ratios, (m,) each, in ascending order.
+        """Return the resonances' frequencies in Hz and damping ratios, (m,) each, in ascending order of frequency.
 
-        They are starting values for updating, not data; see `fmu.posterior.data.frf.peaks.pick_peaks`.
+        Use them as starting values for updating, not as data; see `fmu.posterior.data.frf.peaks.pick_peaks`.
 
         Parameters
         ----------
@@ -355,15 +357,16 @@ class FRFData:
     ) -> IdentifiedModes:
         """Identify modes from the FRFs with one reference: frequencies and shapes as `fmu.ModalData`, and damping.
 
-        sdypy-EMA fits them at the resonances of `pick_frequencies`; see `fmu.posterior.data.frf.identification`.
+        sdypy-EMA fits the modes at the resonances of `pick_frequencies`; see
+        `fmu.posterior.data.frf.identification`.
 
         Parameters
         ----------
         n : int, optional
             Largest number of modes.
         reference : (place, direction), optional
-            The drive (for a roving hammer, the response) that the FRFs to use share. Defaults to the most frequent
-            one.
+            The drive that the FRFs to use have in common (for a roving hammer, the response). Defaults to the most
+            frequent one.
         least_mpc : float
             Smallest modal phase collinearity; see `fmu.formats.modes.measured_modes.real_shapes`.
 
@@ -380,7 +383,7 @@ class FRFData:
         """Return warnings that the FRFs may have the wrong kind, polarity or position, one sentence each.
 
         The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
-        that extracts power (`fmu.posterior.data.frf.doubts`). There is another warning for an sd from few hits.
+        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that an sd comes from few hits.
         """
         return doubts(self._spectra, self.power, self.freedom)
 

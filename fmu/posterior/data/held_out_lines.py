@@ -1,4 +1,4 @@
-"""Measured values that are left out of updating and test the updated model."""
+"""Select measured values that are left out of updating and serve to test the updated model."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from fmu.types import BoolArray
 def held_out(data: FRFData) -> BoolArray:
     """Return a mask (n_frfs, n_lines) of the values that test the updated model.
 
-    These are unused values with a known error, at lines between the lowest and the highest line in use. The
-    reduced model is not trained beyond these lines.
+    These are unused values with a known standard deviation, at lines between the lowest and the highest line in
+    use. The reduced model is not trained beyond these two lines.
     """
     lines = np.asarray(data.frequencies_hz)
     in_use = lines[data.used.any(axis=0)]

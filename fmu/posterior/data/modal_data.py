@@ -33,8 +33,8 @@ class ModalData:
     frequencies_hz : ndarray, shape (n_modes,)
         Natural frequencies.
     numbers : tuple of int
-        The number (from 1) of each measured mode in the model's sorted spectrum, for pairing by number.
-        Defaults to 1, 2, …
+        For pairing by number: each measured mode's number (from 1) in the model's sorted spectrum. Defaults to
+        1, 2, …
     sensors : tuple of (node, direction)
         Node and direction of each sensor. A mode with no motion at any sensor cannot be measured.
     shapes : ndarray, shape (n_sensors, n_modes), optional
@@ -49,11 +49,11 @@ class ModalData:
         Error standard deviations for the components of shapes scaled to unit length at the sensors. A scalar
         applies to all components; one number per mode applies to all sensors.
     counterparts : tuple of int, optional
-        For pairing by shape if no shapes were measured: the model's mode before updating that corresponds to
+        For pairing by shape if no shapes were measured: the mode of the model before updating that corresponds to
         each measured mode. Modes are numbered from 1 among the elastic modes that move a sensor. Defaults to
         the lowest of these modes, in ascending order.
     tests : RepeatedTests, optional
-        The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
+        The tests whose mean is `frequencies_hz`. The likelihood uses only the mean. The tests are used to predict
         one more test, and to check whether the tests are independent.
     use : tuple of bool, optional
         Whether each mode is used in updating. Defaults to all modes. Unused modes are paired and predicted too,
@@ -70,7 +70,7 @@ class ModalData:
     ------
     ValueError
         If a frequency is not positive and finite, a shape is zero or not finite, the lengths differ, a standard
-        deviation is not positive, the covariance is not positive definite, the counterparts are not distinct
+        deviation is not positive, the covariance is not positive definite, or the counterparts are not distinct
         numbers from 1 or are given together with shapes.
     """
 
@@ -298,7 +298,7 @@ class ModalData:
         path : path-like
             An existing file is replaced.
         nodes : mapping of node number to place, optional
-            Maps node numbers in the file to model nodes or their names; needed if nodes have names.
+            Maps node numbers in the file to model nodes or their names. Needed if the model's nodes are named.
 
         Raises
         ------

@@ -30,8 +30,8 @@ def pick_modes(
     """Return the resonances in frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
 
     If `fmu.FRFErrors` is the only error model, these modes are not data, because the FRFs already contain their
-    information. They are paired with the model's modes, and the search for maxima begins with them.
-    Resonances are sought at all lines between the lowest and the highest line in use.
+    information. They are paired with the model's modes, and the search for maxima starts with their likelihood.
+    Resonances are picked at all lines between the lowest and the highest line in use.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def pick_modes(
     Raises
     ------
     ValueError
-        If no resonance is found, or there are not as many as `numbers`.
+        If no resonance is found, or the number of resonances differs from the length of `numbers`.
     """
     between = replace(
         data, use=data.used | held_out(data), band=None

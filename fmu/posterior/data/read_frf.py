@@ -47,7 +47,7 @@ def read_frf(
     ----------
     path : path-like
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}, optional
-        Needed if the file does not state it; must not contradict a file that does.
+        Needed if the file does not state it; otherwise it must agree with the file.
     drives, responses : tuple of (place, direction), optional
         Points of the FRFs, in file order; needed if the file does not name them.
     nodes : mapping of node number to place, optional
@@ -61,9 +61,9 @@ def read_frf(
     scale : float
         Factor that converts the values in the file to SI units: 9.80665 for accelerations in g.
     averages : float, optional
-        Number of independent averages behind the coherences in the file, which are not used without it.
+        Number of independent averages behind the coherences in the file. Without it, the coherences are not used.
     sd, use, band : optional
-        The attributes of `fmu.FRFData` with these names; `sd` is in SI units and replaces the one in the file.
+        The attributes of `fmu.FRFData` with these names; `sd` is in SI units and replaces any sd in the file.
 
     Returns
     -------

@@ -56,7 +56,7 @@ def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
 
 
 def _scatter(values: FloatArray, scatter: str) -> _Scatter:
-    """Return the scatter of each mode separately or, if `scatter` is "pooled", with one relative scatter."""
+    """Return each mode's scatter, estimated separately or, if `scatter` is "pooled", as one relative scatter."""
     n = np.sum(~np.isnan(values), axis=0)
     mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
     nu = n - 1
@@ -82,17 +82,17 @@ class RepeatedTests:
         Frequencies, with NaN where a test missed a mode; every mode needs at least two values.
     scatter : {"each", "pooled", "joint"}
         "each": independent modes, each with the scatter of its own n_i values and ν = n_i − 1 degrees of freedom.
-        This assumes nothing about other modes, but a few tests may agree closely by chance, and such a mode
-        then gets too much weight.
+        This assumes nothing about other modes. But a few tests may agree closely by chance, and the mode then gets
+        too much weight.
 
         "pooled": independent modes with one *relative* scatter, s_i = c f_i with c² = Σ ν_i (s_i/f_i)² / Σ ν_i and
         ν = Σ ν_i. This is useful for two to four tests.
 
-        "joint": a full covariance, for modes whose frequencies vary together, as with temperature. With the prior
-        ∝ |Σ|^(−(n_modes + 1)/2) the mean has a multivariate Student distribution (Gelman et al. 2013, Bayesian
-        Data Analysis, 3rd ed., section 3.6). That distribution's covariance is used, S (n − 1)/(n (n − n_modes −
-        2)) with the sample covariance S. It exists for n ≥ n_modes + 3 tests, if no test missed a mode. With fewer
-        tests, S is singular or nearly so.
+        "joint": a full covariance, for modes whose frequencies vary together, for example with temperature. With
+        the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a multivariate Student distribution (Gelman et al. 2013,
+        Bayesian Data Analysis, 3rd ed., section 3.6). That distribution's covariance is used, S (n − 1)/(n (n −
+        n_modes − 2)) with the sample covariance S. It exists for n ≥ n_modes + 3 tests, if no test missed a mode.
+        With fewer tests, S is singular or nearly so.
 
     Raises
     ------
@@ -118,7 +118,7 @@ class RepeatedTests:
     def mean(self) -> MeanFrequencies:
         """Return the mean over the tests, and its uncertainty estimated from the scatter between the tests.
 
-        With n_i tests of mode i, their sample standard deviation s_i and ν degrees of freedom, the mean's error
+        Let mode i have n_i tests, the sample standard deviation s_i, and ν degrees of freedom. The mean's error
         divided by s_i/√n_i has Student's t distribution, because s_i is itself an estimate. This distribution is
         replaced by the Gaussian with the same central 95 % interval. The Gaussian's standard deviation is s_i/√n_i
         · t_0.975(ν)/1.96 (the expanded uncertainty in JCGM 100:2008, GUM, annex G.3, divided by the normal
@@ -135,15 +135,15 @@ class RepeatedTests:
         """Convert errors of the mean, divided by the standard deviation from `mean`, to standard normal scores.
 
         The Gaussian in `mean` has the central 95 % interval of Student's t distribution but not its tails: with
-        three tests, one error in a hundred is beyond four of these standard deviations. The score is Φ⁻¹(F(t))
-        with the distribution function F of t, and is exactly standard normal. With a joint scatter `z` is
-        returned unchanged.
+        three tests, one error in a hundred exceeds four of these standard deviations. The score Φ⁻¹(F(t)), where F
+        is the distribution function of t, is exactly standard normal. With a joint scatter `z` is returned
+        unchanged.
 
         Parameters
         ----------
         z : ndarray, shape (..., n_modes), or any shape if a mode is given
         mode : int, optional
-            Index (from 0) of the mode that all values in `z` belong to.
+            Index (from 0) of the mode to which all values in `z` belong.
         """
         from scipy.special import ndtri, stdtr
 
@@ -185,7 +185,7 @@ class RepeatedTests:
         return np.asarray((z @ root.T) / np.sqrt(rng.chisquare(nu, (size, 1)) / nu))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the frequencies, with None for a mode that a test missed, and the scatter as a dict."""
+        """Return the frequencies and the scatter as a dict. A frequency is None if a test missed the mode."""
         rows = [[None if np.isnan(f) else float(f) for f in row] for row in np.asarray(self.frequencies_hz)]
         return {"frequencies_hz": rows, "scatter": self.scatter}
 
@@ -237,11 +237,11 @@ def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
     """Return each mean shape's component standard deviation, (n_modes,), from the scatter between tests.
 
-    With the unit-length shapes u_j of one sign, and their mean m, the components of u_j orthogonal to m scatter in
-    n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1). The same s is
-    assumed for all sensors, as for sensors of one kind. The mean's standard deviation is s/√n, widened for few
-    tests as in `RepeatedTests.mean`. Return None if a mode has fewer than two shapes, there is only one sensor, or
-    a mode's shapes do not differ.
+    Let u_j be the unit-length shapes with the same sign, and m their mean. The components of u_j orthogonal to m
+    scatter in n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1). The same
+    s is assumed for all sensors. The mean's standard deviation is s/√n, widened for few tests as in
+    `RepeatedTests.mean`. Return None if a mode has fewer than two shapes, there is only one sensor, or a mode's
+    shapes do not differ.
 
     Parameters
     ----------

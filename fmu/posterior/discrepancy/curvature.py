@@ -1,6 +1,6 @@
-"""Parameter derivatives of functions that themselves depend on frequency and shape derivatives.
+"""Differentiate functions of the frequency and shape derivatives with respect to the parameters.
 
-They are exact if the model has second derivatives; otherwise they are finite differences.
+The results are exact if the model has second derivatives; otherwise they are finite differences.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def by_parameters(
 ) -> FloatArray:
     """Return the derivatives of m functions with respect to the parameters of their own tests, shape (n, m, p).
 
-    They are central differences. Each parameter moves in all tests at once, which takes 2 p calls of the function.
+    They are central differences. Each parameter is perturbed in all tests at once, which takes 2 p function calls.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def by_parameters(
     bounds : ndarray, shape (2, n_tests, p)
         Limits of the values, beyond which a reduced model is not trained.
     test : ndarray of int, shape (m,)
-        The test of each function.
+        Index of each function's test.
     """
     p = values.shape[-1]
     low, high = np.minimum(values, bounds[0]), np.maximum(values, bounds[1])

@@ -1,7 +1,4 @@
-"""Evaluate quantities at posterior draws, once for equal draws: a rejected step repeats the last draw.
-
-Draws of model errors are here too.
-"""
+"""Evaluate quantities at posterior draws, only once for equal draws (a rejected step repeats the last draw)."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ def distinct_rows(theta: FloatArray) -> tuple[FloatArray, IntArray]:
 def at_distinct_rows(
     function: Callable[[FloatArray], Sequence[FloatArray]], theta: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Return the arrays that a function gives at theta (n, ndim), after one call with the distinct rows only.
+    """Return the arrays that a function gives at theta (n, ndim). It is called once, with the distinct rows.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ INDEPENDENT = Setting(0.0)
 @check_arguments
 @dataclass(frozen=True)
 class Discrepancy:
-    """Model discrepancy: a model error that no parameter values remove.
+    """Model discrepancy: an error of the model that remains at any parameter values.
 
     With `kind` = "embedded" the parameters scatter from mode to mode (`fmu.posterior.discrepancy.embedded`), and
     the error grows with the sensitivity to the parameters. With `kind` = "modes" the predicted frequencies and
@@ -67,8 +67,8 @@ class Discrepancy:
     ----------
     kind : {"embedded", "modes"}
     tau : float, optional
-        For "embedded". The scatter τ, relative for parameters that are never 0 between their bounds. For other
-        parameters it is in units of the starting point's absolute value, or of the prior's scale if the parameter
+        For "embedded". The scatter τ, relative to the value of a parameter that is never 0 between its bounds. For
+        other parameters its unit is the starting point's absolute value, or the prior's scale if the parameter
         starts at 0. It is inferred if not given.
     prior_sd : float
         Standard deviation of the half-normal priors of inferred τ, `sd` and `shape_sd`.
@@ -102,7 +102,7 @@ class Discrepancy:
     Notes
     -----
     The variances are exact to first order in τ; at τ = 0.3 and more they are rough. If the parameters outnumber
-    the data, τ keeps its prior.
+    the data, the data do not determine τ, whose posterior then equals its prior.
     """
 
     kind: Literal["embedded", "modes"] = "embedded"
@@ -211,7 +211,7 @@ class EmbeddedScatter:
     fixed : ndarray, shape (p,)
         The known τ_k; 0 if a parameter does not scatter or its τ is inferred.
     number : ndarray of int, shape (p,)
-        Index of the inferred τ_k among the inferred error sds; −1 if it is not inferred.
+        Index of the inferred τ_k among the inferred error sds, or −1 if τ_k is not inferred.
     correlation : Setting
         Correlation ρ between modes.
     """
@@ -225,7 +225,7 @@ class EmbeddedScatter:
 
     @classmethod
     def none(cls, p: int) -> EmbeddedScatter:
-        """Return a scatter object for p parameters of which none scatters."""
+        """Return a scatter object for p parameters in which no parameter scatters."""
         return cls(("",) * p, np.zeros(p, dtype=bool), np.ones(p), np.zeros(p), np.full(p, -1))
 
     def scale(self, values: FloatArray) -> FloatArray:
@@ -238,9 +238,9 @@ class EmbeddedScatter:
         return np.asarray((self.fixed > 0.0) | (self.number >= 0))
 
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return two scatter variances, relative to s², each of shape (n, p), for error sds `noise` (n, n_noise).
+        """Return two scatter variances in units of s², each of shape (n, p), for error sds `noise` (n, n_noise).
 
-        They are (1 − ρ) τ² for the part that differs from mode to mode, and ρ τ² for the part in common.
+        They are (1 − ρ) τ² for the part that differs from mode to mode, and ρ τ² for the common part.
         """
         square = self._tau(noise) ** 2
         if self.correlation == INDEPENDENT:

@@ -1,11 +1,11 @@
-"""Frequency likelihood of one test when the modes share no errors, computed without matrices.
+"""Frequency likelihood for one test whose modes share no errors, computed without matrices.
 
-If only frequencies have errors, in one test, a mode has one residual and its scatter is one number. The density
-in `fmu.posterior.discrepancy.latent` is then log N(ε_i; 0, V_i) with
+If only frequencies have errors, each mode has one residual, and its scatter is one number. The density in
+`fmu.posterior.discrepancy.latent` is then log N(ε_i; 0, V_i) with
 
 V_i = σ_i² + (∂ε_i/∂f_i)² v_i,   v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
 
-At a single theta it takes a third of the time.
+At a single theta, this takes a third of the time of the general method.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class ScatteredFrequencies:
     ) -> tuple[FloatArray, FloatArray]:
         """Return `terms` and their derivatives with respect to parameters and noise, (n, n_modes, p + n_noise).
 
-        With the second derivatives H_i of f_i, ∂v_i/∂θ = 2 H_i d_i + (∂f_i/∂θ)² τ² ∂s²/∂θ, d_i = s² τ² ∂f_i/∂θ.
+        With the second derivatives H_i of f_i and d_i = s² τ² ∂f_i/∂θ, ∂v_i/∂θ = 2 H_i d_i + (∂f_i/∂θ)² τ² ∂s²/∂θ.
         """
         f, J = exact.frequencies, exact.gradient
         with np.errstate(all="ignore"):

@@ -6,7 +6,7 @@ r_i = A_i z_g(i) + a_i w + e_i,
 
 with independent standard normal z_g (P numbers for each group g of rows), w (C numbers for all rows) and e_i (k
 numbers). z and w are the latent errors, and A and a are their loadings. Given w, groups are independent of each
-other. However many rows there are, all factorised matrices have size P, k or C. With M_g = I + Σ_i A_iᵀA_i
+other. All factorised matrices have size P, k or C, whatever the number of rows. With M_g = I + Σ_i A_iᵀA_i
 (Woodbury's identity), the quadratic form of X = (r, a) in a group is Σ_i X_iᵀX_i − BᵀM_g⁻¹B, B = Σ_i A_iᵀX_i. Then
 w is integrated out of the sum over the groups in the same manner.
 """
@@ -45,7 +45,7 @@ class Slopes(NamedTuple):
 
 
 class _Groups(NamedTuple):
-    """Cumulative sums over a group's rows up to row i, for X = (r, a) after the group's own z is integrated out.
+    """Cumulative sums over a group's rows up to row i, with X = (r, a) and the group's own z integrated out.
 
     Attributes
     ----------
@@ -86,8 +86,8 @@ class LatentErrors:
         """Return each row's log-density given the rows before it, relative to independent residuals, (n, m).
 
         The terms sum to log N(r; 0, S) − log N(r; 0, I). If all groups have one row and C is 0, each term is the
-        log-density of its row alone. Terms are −∞ where the residuals are so many standard deviations that
-        rounding errors of their squares, which cancel, would exceed 0.01.
+        log-density of its row alone. A term is −∞ if its residuals are so large that rounding errors of their
+        squares, which cancel, would exceed 0.01.
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         with np.errstate(invalid="ignore"):  # rows without a density
@@ -122,7 +122,7 @@ class LatentErrors:
         return np.asarray(0.5 * (squares - square + np.linalg.slogdet(Q)[1]))
 
     def squares(self) -> FloatArray:
-        """Return each row's squared residuals given the rows before it, in standard deviations, (n, m)."""
+        """Return each row's standardised squared residuals, summed, given the rows before it, shape (n, m)."""
         quadratic = self._grown(self._groups.quadratic)
         if not self.common.shape[-1]:
             return np.asarray(quadratic[..., 0, 0])
@@ -175,7 +175,7 @@ class LatentErrors:
     def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the distribution of a group's own errors z, given its residuals and the common errors w.
 
-        It is valid at the last row of each group.
+        The result is valid only at the last row of each group.
 
         Returns
         -------
@@ -274,7 +274,7 @@ class LatentErrors:
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
-        """Return the increments of `total`, cumulative sums within each group of rows, shape (n, m, …)."""
+        """Return the increments of `total`, the cumulative sums within each group of rows, shape (n, m, …)."""
         if not len(self._later):
             return total
         found = total.copy()
@@ -284,7 +284,7 @@ class LatentErrors:
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
         """Integrate the common errors w out of the sums (n, m, 1 + C, 1 + C); return r's quadratic form (n, m).
 
-        Log det is added to it if `with_log_det` is True.
+        If `with_log_det` is True, the log-determinant is added.
         """
         N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
         right = so_far[..., 1:, :1]

@@ -1,4 +1,4 @@
-"""Likelihood with model discrepancy that is common to all data of a mode."""
+"""Likelihood with model discrepancy. A mode has the same discrepancy in all of its data."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _COMPLEX_STEP = 1e-30  # relative; a complex step subtracts nothing, so it may b
 class DiscrepantLikelihood(ModalLikelihood):
     """A `ModalLikelihood` with model discrepancy: mode g has its own parameters θ + s τ z_g.
 
-    To first order in τ, mode g's residuals (its frequency and shape in all tests) are then Gaussian. Their
-    covariance is I + J T² Jᵀ, T = diag(s τ), in measurement standard deviations. One z_g serves all tests, because
-    model error does not average out over tests. A mode's term in a later test is conditional on the earlier tests;
-    the terms sum to the joint log-density, determinant included.
+    To first order in τ, mode g's residuals (its frequency and shape in all tests) are then Gaussian. In
+    measurement standard deviations, their covariance is I + J T² Jᵀ with T = diag(s τ). The same z_g applies in
+    all tests, because model error does not average out over tests. A mode's term in a later test is conditional on
+    the earlier tests; the terms sum to the joint log-density, including its determinant.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-likelihood terms, and the derivatives of their sum through each mode, (n, n_used, ndim).
 
-        Row i differentiates through the prediction of mode i in its test. This is the gradient of term i unless
-        the mode was measured in several tests.
+        Row i contains the derivatives through the prediction of mode i in its test. This is the gradient of term i
+        unless the mode was measured in several tests.
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
@@ -177,7 +177,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's standardised squared residuals given earlier tests, (n, n_kinds, n_used)."""
+        """Return each used mode's sum of squared residuals given earlier tests, (n, n_kinds, n_used).
+
+        The residuals are standardised with their conditional standard deviations.
+        """
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -187,7 +190,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def couples_modes(self) -> bool:
-        """Whether a mode's likelihood depends on other data: the same mode in other tests, or all modes."""
+        """Whether a mode's likelihood depends on other data: the same mode in other tests, or other modes."""
         return self.errors.n_common > 0 or len(set(self.group[self._used].tolist())) < len(self._used)
 
     def terms_given_others(self, theta: FloatArray) -> FloatArray:
@@ -222,7 +225,10 @@ class DiscrepantLikelihood(ModalLikelihood):
     def errors_given_data(
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return `LatentErrors.given_common` for each mode, and w's mean and covariance, given the used data."""
+        """Return `LatentErrors.given_common` for each mode, and w's mean and covariance, given the used data.
+
+        If `used` is empty, return the prior: zero means and unit covariances.
+        """
         (n, m, P), (*_, C) = (x.shape for x in self._in_hz(seen, theta))
         mean, gain, covariance = np.zeros((n, m, P)), np.zeros((n, m, P, C)), np.tile(np.eye(P), (n, m, 1, 1))
         if not len(used):
@@ -240,7 +246,10 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy added; see `Likelihood`."""
+        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy added; see `Likelihood`.
+
+        Raise ValueError if theta is None.
+        """
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -292,7 +301,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequency derivatives in Hz by own errors, (n, n_modes, P), and common ones, (n, n_modes, C)."""
+        """Return frequency derivatives in Hz with respect to a mode's own errors and to the common errors.
+
+        Their shapes are (n, n_modes, P) and (n, n_modes, C).
+        """
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
@@ -339,7 +351,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> FloatArray:
         """Return the derivatives with respect to parameters, (n, m, p), through the residuals and their slopes.
 
-        Without exact second derivatives, the slopes are differenced for every parameter, which takes 2 p solves.
+        Without exact second derivatives, the slopes are differentiated by finite differences, which takes 2 p
+        solves.
         """
         values, noise = self._values(theta), self._noise(theta)
         of_residuals = np.einsum("nmk,nmkp->nmp", change.by_residual, rows.slopes)
@@ -362,7 +375,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found if self.model.is_uncertain else of_residuals + found
 
     def _of_all_modes(self, of_used: FloatArray) -> FloatArray:
-        """Expand rows (n, m, …) of the used modes to all modes, with 0 for the others."""
+        """Expand rows (n, m, …) of the used modes to all modes, with 0 for unused modes."""
         found = np.zeros((len(of_used), len(self.group), *of_used.shape[2:]))
         found[:, self._used] = of_used
         return found

@@ -1,4 +1,4 @@
-"""Model discrepancy in the residuals of the modes: error variances, and derivatives with respect to them."""
+"""Model discrepancy in the residuals of the modes: error variances and the corresponding derivatives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ type Take = Callable[[FloatArray, int], FloatArray]
 
 
 class Linearised(NamedTuple):
-    """Residuals of m rows, each a mode in a test, and their derivatives.
+    """Residuals and their derivatives, in m rows. Each row is a mode in a test.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """The complete model discrepancy: scatter of its parameters, and errors of the modes themselves.
+    """The complete model discrepancy: scatter of the model's parameters, and errors of the modes themselves.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class ModelErrors:
     ) -> FloatArray:
         """Differentiate a function of the modes' `units` with respect to the parameters; shape (n, m, p).
 
-        `by_own` has its derivatives with respect to the units; see `ModeErrors.change_of_units`.
+        `by_own` is the function's derivative with respect to the units; see `ModeErrors.change_of_units`.
         """
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
@@ -138,7 +138,7 @@ class ModelErrors:
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variances of a mode's own errors, (n, E + Q), and of the common errors, (n, F + C).
 
-        First come the E and F parameters that scatter, with variances relative to s², then the errors of modes.
+        The E and F parameters that scatter come first, with variances in units of s². The errors of modes follow.
         `noise` has the inferred standard deviations, shape (n, n_noise).
         """
         own, common = _sum_of_pairs([one.variances(noise) for one in self.scatters])
@@ -198,7 +198,7 @@ class ModelErrors:
         return LatentErrors(rows.residuals, loads, shared, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
-        """Differentiate the summed terms of `latent`, which has the same rows."""
+        """Differentiate the summed terms of `latent`, which must have the same rows as `rows`."""
         found = latent.slopes()
         by_own, by_common = (
             by * np.sqrt(variance)[:, None, None]
@@ -236,7 +236,7 @@ class ModelErrors:
 
         It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, and Cov is the error covariance given
         the residuals. Between different modes, and for the same mode in different tests, only the common errors
-        are counted. Each of q sensors has the weight (q − 1)/q, the part that is independent of the shape's scale.
+        are counted. If there are q sensors, each has the weight (q − 1)/q, because the shape's scale is free.
         `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
@@ -273,7 +273,7 @@ def _sum_of_pairs(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[Float
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return relative variance derivatives ∂V/∂noise / V, (n, m, k, n_noise), and residuals' weights (k,)."""
+    """Return relative variance derivatives (∂V/∂noise)/V, (n, m, k, n_noise), and a weight per residual (k,)."""
     parts, shares = [], []
     for term in terms:
         q, V = len(term.labels([""])), term.spread.variance(noise)

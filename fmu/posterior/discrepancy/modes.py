@@ -76,7 +76,7 @@ class ModeErrors:
 
     @property
     def n_own(self) -> int:
-        """Number of errors that each mode has for itself alone."""
+        """Number of errors that belong to one mode only, per mode."""
         return (self.sd is not None) + (0 if self.shape_sd is None else len(self.root))
 
     @property
@@ -87,7 +87,7 @@ class ModeErrors:
     def units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals that unit errors cause, (n, n_modes, k, n_own) and (n, n_modes, k, n_common)."""
+        """Return the residuals caused by unit errors, (n, n_modes, k, n_own) and (n, n_modes, k, n_common)."""
         own, common = [], []
         for term in terms:
             V = term.spread.variance(noise)
@@ -110,11 +110,11 @@ class ModeErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Differentiate a function of each mode's own `units` by the parameters; shape (n, n_modes, n_parameters).
+        """Differentiate a function of each mode's own `units` with respect to the parameters.
 
-        For shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the
-        derivatives `by_own` of the function with respect to the units, (n, n_modes, k, n_own). Its derivatives
-        with respect to ψ are then −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
+        Return shape (n, n_modes, n_parameters). For shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C
+        that does not depend on θ. Let G be the derivatives `by_own` of the function with respect to the units, (n,
+        n_modes, k, n_own). Its derivatives with respect to ψ are then −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
         """
         found = np.zeros((*by_own.shape[:2], np.asarray(seen.frequency_slopes).shape[-1]))
         for term, by in zip(terms, split_by_term(terms, by_own), strict=True):
@@ -188,7 +188,7 @@ class ModeErrors:
 def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
     """Return the distances between sensors in m, shape (n_sensors, n_sensors).
 
-    They are infinite for different directions, or if the model has no coordinates.
+    A distance is infinite if the two directions differ, or if the model has no coordinates.
     """
     q = len(sensors)
     found = np.where(np.eye(q) > 0.0, 0.0, np.inf)

@@ -1,4 +1,4 @@
-"""Error models: distributions of the differences between measured and computed quantities, one file each.
+"""Error models: distributions of the differences between measured and computed quantities, in one file each.
 
 Reading order: base, noise; frequency, student, shape, mac; quantities; likelihood, mixture; residual.
 """

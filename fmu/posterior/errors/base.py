@@ -35,7 +35,7 @@ class ErrorModel(Protocol):
         ----------
         data : ModalData
         index : callable
-            Takes an inferred standard deviation as a Parameter; returns its index among the inferred sds.
+            Takes an inferred standard deviation as a Parameter; returns its index among the inferred error sds.
 
         Raises
         ------
@@ -45,7 +45,7 @@ class ErrorModel(Protocol):
         ...
 
     def n_errors(self, data: ModalData) -> int:
-        """Return how many errors of this kind `data` have."""
+        """Return the number of errors of this kind in `data`."""
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
@@ -67,7 +67,7 @@ class Evaluated(NamedTuple):
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
         With respect to each inferred standard deviation, keyed by its index.
     by_frequency_variance, by_shape_variance : ndarray, shapes as by_frequency and by_shape, or None
-        With respect to the variances of the model's own errors.
+        With respect to the variances of the computed frequencies and shapes, if the model is uncertain.
     """
 
     terms: FloatArray
@@ -79,13 +79,15 @@ class Evaluated(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Errors divided by their standard deviations, and derivatives by frequency (1/Hz) and by shape component.
+    """Errors divided by their standard deviations, and derivatives with respect to frequencies and shapes.
 
     Attributes
     ----------
     values : ndarray, shape (n, n_modes, q)
     by_frequency : ndarray, shape (n, n_modes, q), or None
+        In 1/Hz.
     by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
+        With respect to the components of the mode shape.
     """
 
     values: FloatArray
@@ -101,15 +103,16 @@ class ErrorTerm:
     spread : Spread
         Error variances.
     needs_shapes, of_frequencies : bool
-        Whether these are errors in mode shapes, or in frequencies, which `simulate` can add.
+        Whether these are errors in mode shapes, and whether they are errors in frequencies, which `simulate` can
+        add.
     is_least_squares : bool
-        Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
+        Whether the log-density is −½ Σ r² plus a term that depends only on the standard deviations.
     is_chi_square : bool
-        Whether a mode's squared residuals sum to a chi-square variable (`n_data` degrees of freedom).
+        Whether a mode's squared residuals sum to a chi-square variable (with `n_data` degrees of freedom).
     quantity : str
         Plural name of the quantities that have these errors.
     tests : RepeatedTests or None
-        The tests, if the standard deviations come from their scatter alone.
+        The tests, if the standard deviations come only from their scatter.
     """
 
     spread: Spread
@@ -136,7 +139,7 @@ class ErrorTerm:
         return False
 
     def among(self, used: IntArray | None) -> ErrorTerm:
-        """Return the error model for the `used` modes (indices), whose terms sum to their joint log-density.
+        """Return the error model for the `used` modes (indices). Its terms sum to these modes' joint log-density.
 
         The caller drops the other modes' terms. Subclasses in which a term depends on other measured modes
         override this method.
@@ -144,9 +147,10 @@ class ErrorTerm:
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Convert errors divided by their standard deviations, (..., n_modes) or for one mode, to normal scores.
+        """Convert errors divided by their standard deviations, (..., n_modes), to normal scores.
 
-        Gaussian errors are returned unchanged, unless the standard deviations were estimated from a few tests.
+        If a mode's index is given, all values in `z` (any shape) belong to that mode. Gaussian errors are returned
+        unchanged, unless the standard deviations were estimated from a few tests.
         """
         return z if self.tests is None else self.tests.normal_scores(z, mode)
 
@@ -190,14 +194,14 @@ class ErrorTerm:
         Returns
         -------
         of_frequency, of_shape : ndarray, (n, n_modes, n_parameters) and (n, n_sensors, n_modes, n_parameters)
-            Weights for the second derivatives of frequencies and shapes; None if they have no effect.
+            Weights for the second derivatives of frequencies and shapes; None if these have no effect.
         direct : ndarray, shape (n, n_modes, n_parameters)
             The remainder: derivatives of the function while the slopes of all frequencies and shapes stay fixed.
         """
         raise NotImplementedError
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; needs `of_frequencies`."""
+        """Return simulated measurements, (n, n_modes), Hz, of computed frequencies; requires `of_frequencies`."""
         raise NotImplementedError
 
     def simulate_inferred(
@@ -207,11 +211,11 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd of each frequency given the others, (n, n_modes), Hz; needs `of_frequencies`."""
+        """Return mean and sd of each frequency given the others, (n, n_modes), Hz; requires `of_frequencies`."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the residuals' names, mode by mode, given the mode names."""
+        """Return the residuals' names, given the mode names. The residuals of a mode are adjacent."""
         raise NotImplementedError
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
@@ -219,7 +223,7 @@ class ErrorTerm:
         return self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return a dict with the error model's name under ``error``, and its settings."""
+        """Return a dict of the error model's settings, with its name under the key ``error``."""
         raise NotImplementedError
 
 
@@ -233,7 +237,7 @@ class Likelihood:
     Attributes
     ----------
     of_modes : bool
-        Whether there is a residual per mode: `quadratic`, `residuals_and_slopes` and `labels` exist.
+        Whether each mode has residuals, so that `quadratic`, `residuals_and_slopes` and `labels` exist.
     needs_shapes : bool
         Whether some of the errors are in mode shapes.
     simulates : bool
@@ -255,12 +259,15 @@ class Likelihood:
     quantities : tuple of QuantityTerm
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
     responses, every : tuple of FRFTerm, tuple of FRFsOfTest
-        Measured frequency response functions, and the same in their tests (`fmu.posterior.frf.likelihood`).
+        Measured frequency response functions, and the same with their tests (`fmu.posterior.frf.likelihood`).
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
-    has_discrepancy, predictions_per_gradient, n_sizes : bool, int, int or None
-        Whether the model has a discrepancy; how often a gradient solves for the modes and their derivatives; and
-        the number of inferred discrepancy sds in the modes, the last of `noise` (None without them).
+    has_discrepancy : bool
+        Whether the model has a discrepancy.
+    predictions_per_gradient : int
+        How often the modes and their derivatives are computed for one gradient.
+    n_sizes : int or None
+        Number of inferred discrepancy sds in the modes, which are the last of `noise`; None if there are none.
     """
 
     of_modes: bool = False
@@ -288,7 +295,7 @@ class Likelihood:
         return other
 
     def with_model(self, model: Any) -> Self:
-        """Return the likelihood with another model of the same parameters and modes; itself if it has no model."""
+        """Return the likelihood with another model of the same parameters and modes, or `self` without a model."""
         return self
 
     @property
@@ -302,7 +309,7 @@ class Likelihood:
         return len(self.noise)
 
     def easier(self) -> list[Likelihood]:
-        """Return likelihoods with the same parameters and fewer maxima, the easiest first, for a search."""
+        """Return likelihoods with the same parameters but fewer maxima, for a search. The easiest comes first."""
         return []
 
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
@@ -335,7 +342,7 @@ class Likelihood:
         """Return the modes' log-likelihood terms, and the squared residuals under each `chi_square` error model.
 
         The terms have the shape (n, n_used), the squared residuals (n, n_kinds, n_used). If the computed
-        frequencies, (n, n_modes) in Hz, are given and the terms need nothing else, the model is not solved again.
+        frequencies, (n, n_modes) in Hz, are given and sufficient, the model is not solved again.
         """
         terms = self.terms(theta)
         return terms, np.empty((len(terms), 0, terms.shape[1]))
@@ -360,7 +367,7 @@ class Likelihood:
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the residuals' names, in the order of `residuals_and_slopes`, given the mode names."""
+        """Return the residuals' names in the order of `residuals_and_slopes`, given the names of the modes."""
         raise NotImplementedError
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
@@ -370,7 +377,7 @@ class Likelihood:
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies with measurement errors added, (n, n_modes), Hz; `noise` has the inferred sds.
+        """Return frequencies with measurement errors added, (n, n_modes), Hz. `noise` contains the inferred sds.
 
         Raises
         ------
@@ -388,7 +395,10 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, plus a random model discrepancy, on request given the data."""
+        """Return frequencies (n, n_modes), Hz, with a random model discrepancy added.
+
+        The discrepancy is drawn from its posterior if `given_data` is True, otherwise from its prior.
+        """
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

@@ -1,4 +1,4 @@
-"""Error models for natural frequencies: the paper's (eq. 4 with the normaliser 5) and common variants of it."""
+"""Error models for natural frequencies: the paper's model (eq. 4 with the normaliser 5) and common variants."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class FrequencyErrors:
         ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error. The first two are
         normalised as densities of f^m in Hz, the last as a density of ε.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or inferred with its own prior. By default the data's standard deviation;
-        if the data have a covariance, absolute errors are correlated.
+        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's standard deviation;
+        if the data have a covariance, absolute errors are then correlated.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     model_sd : Parameter, optional
@@ -95,7 +95,7 @@ class FrequencyErrors:
 
 @dataclass(frozen=True)
 class BetaFrequencyErrors:
-    """The paper's error model: absolute errors with a trust β in the data, or with the data's own uncertainty.
+    """The paper's error model: absolute frequency errors with a trust β in the data.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class FrequencyTerm(ErrorTerm):
 
     @classmethod
     def of_beta(cls, measured: FloatArray, beta: ArrayLike = 1.0) -> FrequencyTerm:
-        """Return the term for absolute errors with the paper's β, one number or one per mode, 1/Hz².
+        """Return the term for absolute errors with the paper's β in 1/Hz², one number or one number per mode.
 
         Raises
         ------
@@ -165,11 +165,11 @@ class FrequencyTerm(ErrorTerm):
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviations σ_i of the errors, shape (n_modes,); they must be known."""
+        """Standard deviations σ_i of the errors, shape (n_modes,), which must be known, not inferred."""
         return np.asarray(1.0 / np.sqrt(2.0 * self.beta))
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return each mode's log-density at frequencies (n, n_modes), Hz; standard deviations must be known."""
+        """Return each mode's log-density at frequencies (n, n_modes), Hz, if all standard deviations are known."""
         with np.errstate(over="ignore"):
             return self._known_terms(self.errors(frequencies)[0])
 
@@ -250,7 +250,7 @@ class FrequencyTerm(ErrorTerm):
         return normaliser - beta * error**2
 
     def errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
-        """Return the frequency errors ε, (n, n_modes), and ∂ε/∂f; ε is in Hz, or dimensionless for eigenvalues."""
+        """Return the errors ε, (n, n_modes), in Hz (eigenvalue errors are dimensionless), and ∂ε/∂f."""
         # C order, so that the terms of a row are summed in the same order whatever the batch size
         f = np.ascontiguousarray(f)
         if self.kind == "eigenvalue":
@@ -274,8 +274,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     measured : ndarray, shape (n_modes,), Hz
     covariance_hz2 : ndarray, shape (n_modes, n_modes), Hz²
     used : ndarray of int, optional
-        Indices (from 0) of the modes whose density is wanted. L is then the Cholesky factor of Σ without the
-        covariances between these modes and the others, so that their terms sum to their marginal log-density.
+        Indices (from 0) of the modes in the likelihood. The covariances between these modes and the others are set
+        to zero before L is computed, so that the terms of the used modes sum to their marginal log-density.
 
     Raises
     ------
@@ -284,8 +284,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     Notes
     -----
-    Products with L and L⁻¹ are accumulated column by column, because BLAS sums in an order that depends on the
-    number of theta in a batch.
+    Products with L and L⁻¹ are accumulated column by column. BLAS would sum in an order that depends on the number
+    of theta in a batch.
     """
 
     of_frequencies = is_least_squares = is_chi_square = True
@@ -312,7 +312,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     @property
     def couples_modes(self) -> bool:
-        """Always True: a mode's log-density also depends on other modes."""
+        """Always True, because each mode's log-density also depends on other modes."""
         return True
 
     @property
@@ -360,7 +360,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and sd of each measured frequency given the others, (n, n_modes), in Hz."""
+        """Return the mean and sd of each measured frequency given all the others, (n, n_modes), in Hz."""
         c = np.sum(self._inverse_root**2, axis=0)
         g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
@@ -387,7 +387,10 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return the product A x along an axis of `x`, in C order, summed in the same order for any batch size."""
+    """Return the product A x along an axis of `x`, in C order.
+
+    The summation order does not depend on the batch size.
+    """
     total = np.zeros(x.shape)
     along = (slice(None),) * (axis % x.ndim)
     columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))

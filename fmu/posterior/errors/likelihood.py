@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error` if it allows a faster evaluation at a single theta, or None for an uncertain model."""
+        """Return `error`, which allows a fast evaluation at a single theta, or None if the model is uncertain."""
         return None if self.model.is_uncertain else self.error
 
     @property
@@ -175,7 +175,7 @@ class ModalLikelihood(Likelihood):
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the residuals' names, in the order of `residuals_and_slopes`, given the mode names."""
+        """Return the residuals' names in the order of `residuals_and_slopes`, given the names of the modes."""
         modes = tuple(map(str, self.of_used(np.array(modes))))
         others = tuple(label for term in self.quantities for label in term.labels)
         if self.error is not None:
@@ -274,7 +274,7 @@ class ModalLikelihood(Likelihood):
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
-        """Return pairs of an error model's name and its log-likelihood terms, (n, n_used)."""
+        """Return each error model's name and its log-likelihood terms, (n, n_used), as a list of pairs."""
         parts = self._parts(self.observed(theta, False), theta, gradient=False)[1]
         described = self._of_modes_as_dict()
         dicts = [described] if "error" in described else [term.as_dict() for term in self.terms_of]
@@ -311,7 +311,10 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with derivatives by theta; without a `chain`, by each test's parameters."""
+        """Return the predicted modes with derivatives with respect to theta.
+
+        Without a `chain`, the derivatives are with respect to the parameters in the mode's own test.
+        """
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 
@@ -352,7 +355,7 @@ class ModalLikelihood(Likelihood):
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the modes' and then the quantities' log-likelihood terms, with gradients (n, n_terms, ndim)."""
+        """Return the log-likelihood terms of modes, then of quantities, and their gradients (n, n_terms, ndim)."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]

@@ -1,4 +1,4 @@
-"""Error model for 1 − MAC, for single modes or for the subspace that closely spaced modes span."""
+"""Error model for 1 − MAC, either of single modes or relative to the subspace spanned by closely spaced modes."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class MACErrors:
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     together : sequence of sequence of str
-        Groups of modes, given by their labels, whose frequencies are too close for their shapes to be distinct,
-        such as the pairs of a nearly symmetric structure. Each mode is compared with the subspace that its group's
-        computed modes span, which does not depend on how the shapes are rotated within it (`in_span`).
+        Groups of mode labels. The frequencies in a group are too close for the shapes to be distinct, such as the
+        pairs of a nearly symmetric structure. Each mode is compared with the subspace spanned by its group's
+        computed modes, which does not depend on how the shapes are rotated within it (`in_span`).
     """
 
     sd: ArrayLike | Parameter
@@ -131,7 +131,7 @@ class MACTerm(ErrorTerm):
 
 
 def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensors: int) -> Groups:
-    """Convert mode groups from labels to indices (from 0).
+    """Convert groups of mode labels to groups of mode indices (from 0).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Likelihood for soft pairing, a mixture that does not jump as one-to-one mode pairing does."""
+"""Likelihood for soft pairing: a mixture over candidate modes. It does not jump as one-to-one pairing does."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class _Pairs(NamedTuple):
-    """Log-densities for all pairs of a candidate k and a measured mode i, arrays of shape (n, k, m).
+    """Log-densities for all pairs of a candidate k and a measured mode i, as arrays of shape (n, k, m).
 
     Attributes
     ----------
@@ -67,19 +67,19 @@ class MixtureLikelihood(ModalLikelihood):
 
     Notes
     -----
-    - The pairing is *not* one to one: two measured modes may use the same candidate. The log-weight lost is the
-      difference in MAC divided by τ, which is zero if two measured shapes are equal at the sensors.
+    - The pairing is *not* one to one: two measured modes may use the same candidate. The log-weight thus lost is
+      the difference in MAC divided by τ, which is zero if the two measured shapes are equal at the sensors.
     - A candidate whose MAC is lower than the highest MAC by Δ has the relative weight e^(−Δ/τ). With the default
       τ = 0.02 its log-weight is lower by at most 50 nats. If frequencies are measured so accurately that a wrong
       frequency costs more, a mode with a matching frequency but a wrong shape becomes plausible. Then reduce τ
       or add shape errors. In the limit τ → 0 the candidate with the highest MAC is selected.
-    - With frequency errors alone, the likelihood is a density of the frequencies, given the measured shapes.
-      With shape errors, the weights use the measured shapes a second time, and the likelihood is no longer a
-      density. Do not compare evidences of problems with different softness.
+    - If only frequencies have errors, the likelihood is a density of the frequencies, given the measured shapes.
+      If shapes have errors too, the weights use the measured shapes a second time, and the likelihood is no longer
+      a density. Do not compare evidences of problems with different softness.
     - The model's ``frequencies`` still come from the one-to-one assignment, which jumps at a veering, since a
       mean over candidates is not the frequency of any mode.
-    - A block's candidates end with the highest mode computed. Where this mode veers with the next, a jump of
-      that weight remains.
+    - A block's candidates end with the highest mode computed. If this mode veers with the next one, the likelihood
+      still jumps by that mode's weight.
     """
 
     model: PairedStructure
@@ -109,7 +109,7 @@ class MixtureLikelihood(ModalLikelihood):
         return self._mix(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives for the candidates with the highest MAC.
+        """Return the residuals and their derivatives, computed for the candidates with the highest MAC.
 
         These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
         other candidates contribute more to the likelihood. See `ModalLikelihood` for the shapes.
@@ -203,7 +203,7 @@ def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
 
 
 def _log_sum_exp(x: FloatArray) -> FloatArray:
-    """Return log Σ_k exp x for x (n, k, m), shape (n, m); −inf where x is −inf for all k."""
+    """Return log Σ_k exp x, shape (n, m), for x (n, k, m). It is −inf if x is −inf for all k."""
     highest = np.max(x, axis=1)
     shift = np.where(np.isneginf(highest), 0.0, highest)
     with np.errstate(divide="ignore"):
@@ -211,5 +211,5 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
 
 
 def _multiply(share: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return share · slope, but 0 where the share is 0, because a distant candidate may have no slope."""
+    """Return share · slope, or 0 if the share is 0, because the slope of a distant candidate may be undefined."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

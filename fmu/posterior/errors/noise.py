@@ -23,7 +23,10 @@ OLD_NAMES = {"discrepancy": "model_sd"}
 
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:
-    """Return a function that gives a parameter's index in `noise`, and appends it if it is missing."""
+    """Return a function that returns a parameter's index in `noise`, after appending it if it is missing.
+
+    The function raises ValueError if a different parameter in `noise` has the same name.
+    """
 
     def index(parameter: Parameter) -> int:
         if parameter not in noise:
@@ -44,7 +47,8 @@ class Spread:
     fixed : ndarray, any shape
         Known standard deviations.
     sizes : mapping of int to ndarray of the same shape
-        For each inferred standard deviation, keyed by its index k, its factor size_k on each error.
+        The factors size_k by which inferred standard deviation k is multiplied for each error, keyed by the index
+        k.
     """
 
     fixed: FloatArray
@@ -64,8 +68,8 @@ class Spread:
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
         """Return the Fisher information on the inferred standard deviations, shape (n, n_noise, n_noise).
 
-        For Gaussian errors it is Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V². The sum is over all errors, or over the errors
-        in the `used` modes, which are indices into the last axis.
+        For Gaussian errors it is Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V². The sum is over all errors or, if `used` is
+        given, over the errors of these modes. `used` are indices into the last axis.
         """
         n, n_noise = noise.shape
         V = self.variance(noise)

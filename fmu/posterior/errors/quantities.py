@@ -1,4 +1,4 @@
-"""Error models for weighed masses and static displacements, data that separate stiffness from mass.
+"""Error models for weighed masses and static displacements. Such data separate stiffness from mass.
 
 Frequencies alone determine only ratios of stiffness to mass. A weighed mass, a centre of gravity or a static
 displacement is a further datum with a Gaussian error. Its computed value is an exact function of theta
@@ -35,8 +35,8 @@ class QuantityTerm(NamedTuple):
     measured, sd : ndarray, shape (q,)
         Measured values and their standard deviations, in `units`.
     computed : callable
-        Returns the computed values (n, q) for model parameters (n, n_structural) and, if the second argument is
-        True, their derivatives.
+        Returns the computed values (n, q) for model parameters (n, n_structural), and their derivatives if the
+        second argument is True.
     test : int
         Index of the test in which the quantities were measured.
     """
@@ -148,7 +148,7 @@ class MassErrors(QuantityErrors):
             raise ArgumentError("centre", "must be three finite coordinates", list(self.centre))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Bind the mass and any centre of gravity to a structure; see `QuantityErrors.bind_structure`."""
+        """Bind the mass and, if it was measured, the centre of gravity; see `QuantityErrors.bind_structure`."""
         start = np.array([p.start for p in parameters])
         moments = MassMoments(model, start, self.centre is not None)
         labels, units = ["mass"], ["kg"]
@@ -219,7 +219,7 @@ class StaticErrors(QuantityErrors):
         lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
 
         def points(n: int) -> FloatArray:
-            """Return n draws from the prior, (n, p), every second one moved to a corner of the finite bounds."""
+            """Return n prior draws, (n, p). Every second draw is moved to a corner of the finite bounds."""
             drawn = prior.draw(rng, n)
             ends = np.where(rng.random(drawn.shape) < 0.5, lower, upper)
             corner = (np.arange(n) % 2 == 1)[:, None] & np.isfinite(ends)

@@ -111,7 +111,7 @@ class ModalResidual(Likelihood):
     def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the log-likelihood terms and their gradients at a single theta; NaN if condensation fails.
 
-        T is the static condensation, u = Tφ, r = Tᵀ(K − ω²M)u and w = Tr. From dT_s = −K_ss⁻¹ (dK T)_s follows
+        With the static condensation T, let u = Tφ, r = Tᵀ(K − ω²M)u and w = Tr. Since dT_s = −K_ss⁻¹ (dK T)_s,
         rᵀdr = wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements under the loads Mu and Mw
         with the sensors fixed (adjoint method).
         """

@@ -30,10 +30,9 @@ class ShapeErrors:
 
     log p = −½ εᵀΛε + ½ log det Λ − ½ log(φᵀΛφ / φᵀφ) − ½ (q − 1) log 2π.
 
-    This is the Gaussian density of u's direction relative to φ's direction: the component along φ, which depends
-    on the scale alone, is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). The density
-    has q − 1 dimensions. With one σ for all sensors, εᵀΛε = (1 − MAC)/σ². The signs and scales of shapes have no
-    effect.
+    This is the Gaussian density of u's direction relative to φ's direction. The component along φ depends only on
+    the scale and is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). The density has q −
+    1 dimensions. With one σ for all sensors, εᵀΛε = (1 − MAC)/σ². The signs and scales of shapes have no effect.
 
     Attributes
     ----------
@@ -87,11 +86,11 @@ class ShapeTerm(ErrorTerm):
 
     @property
     def n_data(self) -> int:
-        """Number of independent measured values per mode: one fewer than the sensors, because of the free scale.
+        """Number of independent measured values per mode: one fewer than the sensors, because the scale is free.
 
         With u = φ/‖φ‖ + ση the residuals are the component of η orthogonal to φ, to first order in σ. Therefore
-        εᵀΛε is chi-square distributed with q − 1 degrees of freedom at q sensors. For large errors εᵀΛε is
-        smaller, at most its value at MAC = 0.
+        εᵀΛε is chi-square distributed with q − 1 degrees of freedom at q sensors. If the errors are large, εᵀΛε is
+        smaller, because it cannot exceed its value at MAC = 0.
         """
         return len(self.unit) - 1
 
@@ -125,7 +124,7 @@ class ShapeTerm(ErrorTerm):
         return Residuals(values, None, by_shape)
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, which are orthogonal to ψ = Λ^½φ, with their derivatives; see `ErrorTerm`.
+        """Return the residuals and their derivatives; see `ErrorTerm`. The residuals are orthogonal to ψ = Λ^½φ.
 
         The derivatives with respect to φ are −a (I − ψψᵀ/ψᵀψ) Λ^½.
         """
@@ -181,7 +180,7 @@ class ShapeTerm(ErrorTerm):
 def unit_shapes(data: ModalData, name: str) -> FloatArray:
     """Return the measured unit-length shapes, (n_sensors, n_modes).
 
-    Raise ValueError without shapes, or with only one sensor.
+    Raise ValueError if there are no shapes, or only one sensor.
     """
     if data.shapes is None:
         raise ArgumentError(name, "need measured shapes at the sensors", "none")

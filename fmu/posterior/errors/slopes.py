@@ -1,4 +1,4 @@
-"""Chain rule for error models, from derivatives by mode to derivatives by parameter."""
+"""Chain rule for error models: from derivatives with respect to modes to those with respect to parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fmu.types import Chain, FloatArray, IntArray
 
 
 def split_by_term(terms: Sequence[ErrorTerm], of_residuals: FloatArray) -> list[FloatArray]:
-    """Split an array (n, n_modes, k, …) over all k residuals of a mode into one part per error model."""
+    """Split an array (n, n_modes, k, …), where k counts all residuals of a mode, into one part per error model."""
     return np.split(of_residuals, np.cumsum([len(term.labels([""])) for term in terms])[:-1], axis=2)
 
 
@@ -32,7 +32,7 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
     """Return the gradient of an error model's log-densities, (n, n_modes, n_structural + n_noise).
 
-    If the prediction has derivatives, the number of their parameters replaces n_structural.
+    If the prediction has derivatives, their number of parameters replaces `n_structural`.
     """
     n = n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
     gradient = np.zeros((*part.terms.shape, n + n_noise))

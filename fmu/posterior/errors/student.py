@@ -32,7 +32,8 @@ class StudentErrors(FrequencyErrors):
 
     An error of many σ, for example from a misidentified mode, is then improbable but possible, and has little
     influence on the parameters (Lange, Little & Taylor 1989, *J. Am. Stat. Assoc.* 84, 881–896). Correctly
-    measured modes lose some weight too: their information is (ν + 1)/(ν + 3) of its value with Gaussian errors.
+    measured modes lose some weight too: their information is (ν + 1)/(ν + 3) times the information with Gaussian
+    errors.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class StudentTerm(FrequencyTerm):
 
     @property
     def is_known(self) -> bool:
-        """Whether the errors are Gaussian with known standard deviations: always False."""
+        """Always False, because the errors are not Gaussian with known standard deviations."""
         return False
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
@@ -119,7 +120,7 @@ class StudentTerm(FrequencyTerm):
         return Evaluated(terms, -weight * error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals; see `ErrorTerm`. Their squared derivatives sum to the Fisher information."""
+        """Return the residuals; see `ErrorTerm`. Their derivatives are scaled to give the Fisher information."""
         error, slope = self.errors(seen.frequencies)
         root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope

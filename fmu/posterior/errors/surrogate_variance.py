@@ -1,8 +1,8 @@
 """Account for surrogate errors in the likelihood by averaging the density over the surrogate's distribution.
 
 Let t(x) be an error model's log-density as a function of a mode's frequency and shape components x. The surrogate
-predicts their expectations and their variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² for the residuals r,
-both at the expectation,
+predicts the expectation and the variance v_j of each x_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² for the
+residuals r, both at the expectation,
 
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
@@ -57,7 +57,7 @@ def evaluated_with_variance(
 
 
 def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Residuals:
-    """Return residuals divided by √(1 + Σ_j (∂r/∂x_j)² v_j), their standard deviation with surrogate errors."""
+    """Return the residuals divided by √(1 + Σ_j (∂r/∂x_j)² v_j), their sd including surrogate errors."""
     variance = np.ones_like(residuals.values)
     if residuals.by_frequency is not None and seen.frequency_variance is not None:
         variance += residuals.by_frequency**2 * seen.frequency_variance[..., None]
@@ -129,7 +129,7 @@ def _by_variance(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
 
 
 def _by_noise(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, k: int) -> FloatArray:
-    """Return the correction's derivative with respect to inferred standard deviation `k`, (n, n_modes)."""
+    """Return the correction's derivative, (n, n_modes), with respect to the inferred standard deviation `k`."""
     step = _STEP * noise[:, k]
     values = []
     for sign in (1.0, -1.0):

@@ -1,4 +1,4 @@
-"""State the assumptions about frequency response functions and damping in sentences."""
+"""State the assumptions about frequency response functions and damping as sentences."""
 
 from __future__ import annotations
 

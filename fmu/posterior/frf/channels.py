@@ -1,4 +1,4 @@
-"""Measurement channel errors: gain errors, integrated out or inferred, and delays, which are inferred."""
+"""Errors of measurement channels: gain errors (integrated out or inferred), and delays (inferred)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Channels:
     of_frf : ndarray of int, shape (n_frfs,)
         Index of each FRF's channel.
     gain_sd : ndarray, shape (n_channels,)
-        Standard deviation of each gain error that is integrated out; 0 if the gain is known.
+        Standard deviation of each gain error that is integrated out; 0 if there is none.
     gain, delay : ndarray of int, shape (n_channels,)
         Index in theta of each inferred gain error and delay; −1 if it is not inferred.
     parameters : list of Parameter
@@ -87,7 +87,10 @@ class Channels:
         return cls(names, of_frf, integrated, gain, delay, parameters)
 
     def factors(self, theta: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Return the inferred channel factors (1 + γ) exp(−iωτ), shape (n, n_frfs, n_lines) or (1, 1, 1)."""
+        """Return the inferred channel factors (1 + γ) exp(−iωτ), shape (n, n_frfs, n_lines).
+
+        The shape is (1, 1, 1) if no channel error is inferred.
+        """
         if np.all(self.gain < 0) and np.all(self.delay < 0):
             return np.ones((1, 1, 1), dtype=complex)
         found = np.ones((len(theta), len(self.names), len(omega)), dtype=complex)

@@ -60,10 +60,10 @@ class StructuralDamping:
     Attributes
     ----------
     loss : float or Parameter
-        Loss factor η of all stiffness that `of` does not name.
+        Loss factor η of all stiffness that is not listed in `of`.
     of : mapping of str to float or Parameter
-        Loss factor of the stiffness that a model parameter scales, keyed by parameter name. The undamped
-        structure's modes are then coupled.
+        Loss factor of the stiffness that a model parameter scales, keyed by parameter name. It couples the modes
+        of the undamped structure.
     """
 
     loss: NotNegative | Parameter = 0.0
@@ -92,12 +92,12 @@ class Dashpot:
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class DampingMatrix:
-    """A viscous damping matrix C from another program, times a coefficient. It couples the modes.
+    """A viscous damping matrix C from another program, multiplied by a coefficient. It couples the modes.
 
     Attributes
     ----------
     matrix : array_like or sparse, shape (n_dof, n_dof), N·s/m
-        Symmetric, on the model's degrees of freedom.
+        Symmetric, for the model's degrees of freedom.
     coefficient : float or Parameter
 
     Raises
@@ -141,7 +141,7 @@ def bind_damping(
     names: Sequence[str],
     places: Mapping[str, Any],
 ) -> Damping:
-    """Return a model's damping; its parameters are those that `inferred_in` lists.
+    """Return a model's damping. Its parameters are listed by `inferred_in`.
 
     Parameters
     ----------

@@ -38,8 +38,8 @@ class FRFErrors(QuantityErrors):
     relative model error.
 
     If s was estimated from few hits or averages, the error at a single line has Student's t distribution with ν
-    degrees of freedom (`FRFData.freedom`). For parameters that many lines determine together, this log-density's
-    curvature is larger than its slope's variance. Intervals would be too narrow, by 11 % for five hits. The
+    degrees of freedom (`FRFData.freedom`). But if many lines determine a parameter together, the curvature of this
+    log-density exceeds the variance of its slope. Intervals would be too narrow, by 11 % for five hits. The
     density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom and the
     variance V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
     1208–1211), and its slope is proportional to the slope of Student's t with ν.
@@ -61,9 +61,9 @@ class FRFErrors(QuantityErrors):
         Standard deviation of the delay τ_j in each response channel, or in the named channels. Delays are
         inferred.
     test : str, optional
-        With `fmu.JointProblem`, the test in which the FRFs were measured, whose parameters the structure has.
-        Damping parameters and an inferred `model_sd` that have the same name in several tests are the same
-        quantity. Gain errors and delays belong to their test.
+        With `fmu.JointProblem`, the name of the test in which the FRFs were measured. They are computed with that
+        test's parameters. Damping parameters and an inferred `model_sd` that have the same name in several tests
+        are the same quantity. Gain errors and delays belong to their test.
     places : mapping of str to node, optional
         Maps place names in the data, the damping and the channels to nodes of the model.
 
@@ -94,7 +94,7 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError(f"model_sd.{inferred.name}.lower", "must be at least 0", inferred.lower)
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with place names replaced by nodes of the model; labels keep the names."""
+        """Return the same settings with place names replaced by nodes of the model. Labels keep the names."""
         return replace(self, places={**places, **self.places})
 
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
@@ -103,7 +103,7 @@ class FRFErrors(QuantityErrors):
     def bind_frfs(
         self, model: SeparableModel, parameters: Sequence[Parameter], discrepancy: Discrepancy | None = None
     ) -> FRFTerm:
-        """Bind the errors to a structure, after training a reduced model of its FRFs.
+        """Bind the errors to a structure. This trains a reduced model of the structure's FRFs.
 
         Parameters
         ----------

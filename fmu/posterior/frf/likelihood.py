@@ -37,8 +37,8 @@ class FRFsOfTest(NamedTuple):
     columns : ndarray of int, shape (n_own,)
         Index of each parameter in `term` in the likelihood's theta.
     slopes : ndarray of int, shape (n_own,)
-        Index of each parameter in `term` among those that values in the test are differentiated with respect to:
-        the structural parameters in the test, and then the inferred parameters.
+        Position of each parameter in `term` in a list of the test's structural parameters followed by the other
+        inferred parameters. Derivatives have this order.
     """
 
     term: FRFTerm
@@ -59,9 +59,10 @@ class FRFsOfTest(NamedTuple):
         return theta.take(self.columns, axis=1)
 
     def by_structural(self, n: int, n_structural: int, chain: Chain | None) -> FloatArray:
-        """Return how the first s parameters of `term` depend on the N problem parameters: derivatives (n, s, N).
+        """Return the derivatives, (n, s, N), of the first s parameters of `term` with respect to N others.
 
-        Without a `chain`, N is `n_structural`, the number of structural parameters in a test.
+        With a `chain`, these are the N problem parameters. Without it, they are the `n_structural` structural
+        parameters in the test.
         """
         s = len(self.structural)
         found = np.zeros((n, s, n_structural))
@@ -92,7 +93,7 @@ class FRFLikelihood(Likelihood):
 
     Notes
     -----
-    The further parameters inferred for the FRFs follow those for the mode errors. Everything else is as in the
+    In `noise`, the parameters inferred only for the FRFs follow the mode error sds. Everything else is as in the
     likelihood of the modes.
     """
 
@@ -168,11 +169,11 @@ class FRFLikelihood(Likelihood):
         return other
 
     def easier(self) -> list[Likelihood]:
-        """Return likelihoods with the same parameters and fewer maxima, the easiest first.
+        """Return likelihoods with the same parameters but fewer maxima. The easiest comes first.
 
-        The first is the likelihood of all modes alone. In the others the FRFs have an additional relative error,
-        which decreases from one to the next. Narrow measured and computed resonances that do not overlap give no
-        direction towards each other; with large errors they overlap.
+        The first is the likelihood of all modes, without the FRFs. In the others the FRFs have an additional
+        relative error, which decreases from one likelihood to the next. If narrow measured and computed resonances
+        do not overlap, the gradient does not lead one to the other; with large errors they overlap.
         """
         noise = min(term.relative_noise for term in self.responses)
         wider = [relative for relative in _WIDER if relative > _WORTHWHILE * noise]
@@ -262,9 +263,9 @@ class FRFLikelihood(Likelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        A test's FRFs are represented by as many residuals as there are structural parameters. With J the square
-        root of the information on these parameters, given this test's best values of all others, the residuals are
-        −J⁻ᵀ times the gradient.
+        A test's FRFs are represented by as many residuals as there are structural parameters. Let J be the square
+        root of the information on these parameters when the test's other parameters have their best values. The
+        residuals are −J⁻ᵀ times the gradient.
         """
         values, slopes = [], []
         if not self._has_no_terms_of_modes:
@@ -292,7 +293,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([*found, *(np.full(len(one.structural), one.test) for one in self.every)])
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the residuals' names, in the order of `residuals_and_slopes`, given the mode names."""
+        """Return the residuals' names in the order of `residuals_and_slopes`, given the names of the modes."""
         of_modes = () if self._has_no_terms_of_modes else self.modal.labels(modes)
         return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
@@ -317,7 +318,7 @@ class FRFLikelihood(Likelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, plus a random model discrepancy, on request given the data."""
+        """Return frequencies (n, n_modes), Hz, with a random model discrepancy added; see `Likelihood`."""
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

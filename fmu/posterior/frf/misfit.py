@@ -1,4 +1,4 @@
-"""Records of FRF log-densities at the frequency lines, and of gain errors."""
+"""Data classes for FRF log-densities at the frequency lines, and for gain errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Misfit(NamedTuple):
     Attributes
     ----------
     terms : ndarray, shape (n, n_frfs, n_lines)
-        Log-densities, without the parts that depend on no parameter.
+        Log-densities, without constants.
     weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
         w such that d(terms) = Re(w dH).
     by_sd : ndarray, shape (n, n_frfs, n_lines), or None
@@ -30,7 +30,7 @@ class Misfit(NamedTuple):
 class Gains(NamedTuple):
     """Gain errors that are integrated out, at n parameter vectors.
 
-    The density of the data given a gain's relative error γ is its maximum times exp(−½ A (γ − γ̂)²).
+    As a function of a gain's relative error γ, the density of the data is its maximum times exp(−½ A (γ − γ̂)²).
 
     Attributes
     ----------

@@ -3,13 +3,13 @@
 The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. The mode frequencies f_r in the band
 are inferred; ln f_r − ln f_r(θ) is normal with the standard deviation σ and the correlation ρ between modes. The
 residue errors ε_r of each FRF are standard normal and independent. Their unit a_r is the root mean square of the
-mode's residues over the FRFs. These errors are linear and are integrated out exactly. In measurement standard
-deviations, an FRF's errors have the covariance S = I + C Cᵀ with the columns C_r = σ_s a_r g_r; S is inverted by
-Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
+mode's residues over the FRFs. These errors are linear and are integrated out exactly. In units of the measurement
+standard deviations, an FRF's errors have the covariance S = I + C Cᵀ with the columns C_r = σ_s a_r g_r. S is
+inverted by Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
 
-The frequency errors must not be linearised. A resonance with the damping ratio ζ leaves the range of its tangent
-if its relative frequency error exceeds about ζ/2, and model errors are larger than that. σ and ρ must be given: a
-band has too few modes to infer them, and their joint density with f_r is unbounded at σ = 0.
+The frequency errors must not be linearised. The tangent to a resonance with the damping ratio ζ is valid only for
+relative frequency errors below about ζ/2, and model errors are larger. σ and ρ must be given: a band has too few
+modes to infer them, and their joint density with f_r is unbounded at σ = 0.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class ModeScatter:
     Attributes
     ----------
     first : int
-        Index of the first of these modes, from 0.
+        Index (from 0) of the lowest of these modes.
     parameters : tuple of Parameter
         The m frequencies, and σ_s if it is inferred.
     sd, correlation : float
@@ -90,8 +90,8 @@ class ModeScatter:
     def log_density(self, f: FloatArray, lam: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-density of the frequencies f (n, m) given the model's eigenvalues lam (n, m).
 
-        The log-density, (n,), replaces the uniform density between the bounds. It is followed by its derivatives
-        with respect to the frequencies and to the eigenvalues, (n, m) each.
+        The log-density, (n,), replaces the uniform prior density of f. Its derivatives with respect to the
+        frequencies and to the eigenvalues, (n, m) each, follow.
         """
         x = np.log(2.0 * np.pi * f) - 0.5 * np.log(lam)
         turned = np.einsum("gh,nh->ng", self.precision, x)
@@ -107,9 +107,9 @@ class ModeScatter:
 
 
 class _At(NamedTuple):
-    """Everything that a term computes at n parameter vectors.
+    """Quantities that a term computes at n parameter vectors.
 
-    These are the modes, the resonances, the whitened errors E, the loadings B of the residue errors ε, and the
+    They are the modes, the resonances, the whitened errors E, the loadings B of the residue errors ε, and the
     distribution of ε. E has the shape (n, n_frfs, 2 L) and B (n, n_frfs, m, 2 L), with the real parts of all L
     lines before the imaginary parts. The `mean` and `precision` of ε given the data have the shapes (n, n_frfs, m)
     and (n, n_frfs, m, m).
@@ -160,14 +160,14 @@ class ScatteredTerm(FRFTerm):
         return ScatteredTerm(data, self.model, self.channels, self.inferred[:n], self._settings, self.scatter)
 
     def without_lines(self) -> ScatteredTerm:
-        """Return the term without measured lines: only the mode errors, for a search that begins with modes."""
+        """Return the term without measured lines, so that only the mode errors remain. A search starts with it."""
         other = self.widen(0.0)
         assert isinstance(other, ScatteredTerm)
         other._is_silent = True
         return other
 
     def _weights(self) -> FloatArray:
-        """Return the reciprocal standard deviations of the used values, (n_frfs, L), with 0 for the others."""
+        """Return the reciprocal standard deviations of the values, (n_frfs, L); 0 for values that are not used."""
         if self._is_silent:
             return np.zeros(self._used.shape)
         return np.asarray(self._used / np.sqrt(self._variance + self._wider**2 * square(self._measured)))

@@ -31,7 +31,7 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 class FRFTerm:
     """Measured FRFs bound to a structure.
 
-    Here theta consists of the term's own parameters: the structural ones, followed by `inferred`.
+    Here theta consists of the term's own parameters: the structural parameters, followed by `inferred`.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class FRFTerm:
     model : FRFModel
     channels : Channels
     inferred : tuple of Parameter
-        Inferred damping and channel parameters, and an inferred relative model error.
+        Inferred damping and channel parameters, and the relative model error if it is inferred.
     n_data : int
         Number of measured real numbers that are used.
 
@@ -50,7 +50,7 @@ class FRFTerm:
     model_sd : float or None
         The relative model error σ; None if it is inferred.
     settings, of_test : dict and str
-        The result of `as_dict`, and the prefix of FRF names (the test and a colon), if there is one.
+        The result of `as_dict`, and the prefix of FRF names (the test's name and a colon, or empty).
     """
 
     has_discrepancy = False  # errors of the modes
@@ -124,7 +124,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs, (n, n_frfs, n_lines), at the lines in `every`; subclasses draw their model errors."""
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines in `every`. Subclasses add random model errors."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -149,8 +149,9 @@ class FRFTerm:
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return each FRF's sum of squared residuals over its used lines, (n, n_frfs), at theta (n, ndim).
 
-        If the model is correct, it is chi-square distributed with two degrees of freedom per line. Gain errors
-        that are integrated out are drawn. An error with Student's t distribution is replaced by its normal score.
+        If the model is correct, the sum is chi-square distributed with two degrees of freedom per line. Gain
+        errors that are integrated out are drawn. An error with Student's t distribution is replaced by its normal
+        score.
         """
         solved = self._solve(theta)
         found = self._integrate_gains(theta, solved)
@@ -170,7 +171,7 @@ class FRFTerm:
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
     def distance(self, frfs: ComplexArray, theta: FloatArray) -> ComplexArray:
-        """Return measured minus computed FRFs (or their logarithms) in error sds; see `error_sd` for shapes."""
+        """Return measured minus computed FRFs (or their logarithms), in units of `error_sd` and with its shape."""
         measured = self._measured * self._power
         error = measured - frfs
         if self._is_log:
@@ -350,7 +351,7 @@ class FRFTerm:
     def information(self, theta: FloatArray) -> FloatArray:
         """Return the Fisher information on theta, shape (n, ndim, ndim), at theta (n, ndim).
 
-        Integrated gain errors are eliminated from it.
+        Gain errors that are integrated out are eliminated from it.
         """
         found = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
         with single_thread(), np.errstate(all="ignore"):

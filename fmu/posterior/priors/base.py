@@ -23,8 +23,8 @@ _ENDS = ndtr(np.array([-4.0, 4.0]))
 class GaussianForm(NamedTuple):
     """A density that is Gaussian in x or in log x, before truncation: log p(x) = log_factor + log N(x; mean, sd).
 
-    With `of_logarithm`, N is the density of log x, and − log x is added. All priors of this form are evaluated as
-    one array (`fmu.posterior.priors.joint.JointPrior`).
+    If `of_logarithm` is True, N is the density of log x, and − log x is added. All priors of this form are
+    evaluated as one array (`fmu.posterior.priors.joint.JointPrior`).
     """
 
     mean: float
@@ -34,7 +34,7 @@ class GaussianForm(NamedTuple):
 
 
 class Prior(ABC):
-    """A one-dimensional distribution before it is truncated to the bounds.
+    """The prior distribution of one parameter, before it is truncated to the bounds.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Prior(ABC):
 
     @property
     def gaussian_form(self) -> GaussianForm | None:
-        """The prior in terms of a Gaussian; None if it has no such form and `log_pdf` must be evaluated."""
+        """The prior in terms of a Gaussian, or None if it has no Gaussian form and `log_pdf` must be evaluated."""
         return None
 
     @property
@@ -56,15 +56,15 @@ class Prior(ABC):
 
     @abstractmethod
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density; ``-inf`` outside the support, and where the density is infinite."""
+        """Return the normalised log-density; ``-inf`` outside the support or if the density is infinite."""
 
     @abstractmethod
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density; NaN outside the support, and where it does not exist."""
+        """Return the derivative of the log-density; NaN outside the support or if it does not exist."""
 
     @abstractmethod
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log of the probability that lies between two bounds."""
+        """Return the log-probability between two bounds."""
 
     @abstractmethod
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -79,13 +79,13 @@ class Prior(ABC):
         """Return the prior's name and settings as a dict."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw `n` values from the distribution truncated to the bounds, by default by inversion."""
+        """Draw `n` values from the distribution truncated to the bounds, by default with inverse sampling."""
         return self.quantile(rng.uniform(size=n), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
         """Return the offset and scale of the affine coordinate in which the parameter is of order one.
 
-        They default to the median, and to half the interval from the 16th to the 84th percentile, within the
+        The defaults are the median, and half the interval from the 16th to the 84th percentile, both within the
         bounds.
         """
         left, median, right = self.quantile(_CENTRAL, lower, upper).tolist()
@@ -95,7 +95,7 @@ class Prior(ABC):
         """Return the finite interval in which a reduced model must be accurate.
 
         By default the interval contains all but 6e-5 of the probability, like four standard deviations of a
-        Gaussian. It extends to a bound at which the density is not small, since the posterior may be large there.
+        Gaussian. It extends to any bound where the density is not small, since the posterior may be large there.
         """
         inner, bounds = self.quantile(_ENDS, lower, upper), np.array([lower, upper])
         dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)
@@ -104,7 +104,7 @@ class Prior(ABC):
 
 
 def prior_in(given: object) -> Prior | None:
-    """Return the value if it is a prior distribution, or None if it is a number, a name or nothing."""
+    """Return the argument if it is a prior distribution, or None if it is a number, a name or None."""
     return given if isinstance(given, Prior) else None
 
 
@@ -161,7 +161,7 @@ class Normal(Prior):
             return float(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw `n` values by inversion of the truncated distribution function."""
+        """Draw `n` values by inverting the distribution function of the truncated prior."""
         return self._invert_cdf(rng.uniform(size=n), lower, upper)
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -169,7 +169,7 @@ class Normal(Prior):
         return self._invert_cdf(1.0 - p if lower > self.mean else p, lower, upper)
 
     def _invert_cdf(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles at probabilities `u`, counted from above if both bounds lie above the mean."""
+        """Return the quantiles at `u`, which are upper-tail probabilities if both bounds exceed the mean."""
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         flip = a > 0
         if flip:
@@ -185,7 +185,7 @@ class Normal(Prior):
         return self.mean, self.sd
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the part of the bounds within four standard deviations of the densest point."""
+        """Return the interval within the bounds up to four standard deviations from the densest point."""
         densest = min(max(self.mean, lower), upper)
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 

@@ -15,7 +15,7 @@ from fmu.types import FloatArray
 class JointPrior:
     """Product of all parameters' priors, truncated to the bounds and normalised between them.
 
-    Normal, half-normal and log-normal priors, the common ones, are evaluated together as one array.
+    The common priors (normal, half-normal and log-normal) are evaluated together as one array.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class JointPrior:
         self._constant = 0.5 * float(np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass
 
     def log_pdf(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, shape (n,), at theta (n, ndim), where every prior must have a density."""
+        """Return the log-density, shape (n,), at theta (n, ndim), which must be in the support of every prior."""
         # `take` gives C order, in which a row is summed in the same order whatever the batch size; einsum does not
         # warn of an overflow
         x = theta.take(self._gaussian, axis=1)
@@ -76,8 +76,8 @@ class JointPrior:
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
 
-        Each parameter's curvature is a central difference of slopes with a step of 1e-4 of its scale, and at least
-        zero. Test scores have the curvature of their density without bounds.
+        Each parameter's curvature is a central difference of slopes with a step of 1e-4 of its scale. Negative
+        values are set to zero. The curvature for a test's score ignores the bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):

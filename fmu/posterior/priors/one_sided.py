@@ -56,7 +56,7 @@ class HalfNormal(Prior):
         return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log of the probability that lies between two bounds."""
+        """Return the log-probability between two bounds."""
         return self.gaussian.log_mass(max(lower, self.at), upper) + float(np.log(2.0))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -107,8 +107,8 @@ class LogNormal(Prior):
     def from_mode(cls, mode: Positive, sd: Positive) -> LogNormal:
         """Return the prior whose density is largest at `mode`, with the standard deviation `sd` (Beck & Au 2002).
 
-        With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation has one positive root v, which is
-        found in terms of log v.
+        With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation has one positive root v. It is
+        solved for log v.
         """
         from scipy.optimize import brentq
 
@@ -143,7 +143,7 @@ class LogNormal(Prior):
             return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log of the probability that lies between two bounds."""
+        """Return the log-probability between two bounds."""
         return self.gaussian.log_mass(_log(lower), _log(upper))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -166,6 +166,6 @@ def _log(bound: float) -> float:
 
 
 def _require_width(name: str, value: float, sd: float, variance: float) -> None:
-    """Raise ValueError if a log-normal prior is so narrow that its variance is lost in rounding."""
+    """Raise ValueError if a log-normal prior is so narrow that rounding makes its variance zero."""
     if not variance > 0.0:
         raise ArgumentError("sd", f"must be at least 1e-8 of the {name} {typed(value)}", typed(sd))

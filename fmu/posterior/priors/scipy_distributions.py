@@ -1,6 +1,6 @@
 """Priors that use SciPy's distribution functions: the scaled beta, and any continuous one in ``scipy.stats``.
 
-Probabilities are counted from the nearer tail, so that no digits are lost for bounds far out in a tail. The
+Probabilities are computed in the nearer tail, so that no digits are lost for bounds far out in a tail. The
 probability between the bounds must exceed the smallest double, about 1e-308.
 """
 
@@ -24,7 +24,7 @@ _STEP, _EDGE = 1e-3, 1e-6
 
 
 class InvertedPrior(Prior):
-    """A prior defined by its distribution function F, by 1 − F, and by the inverses of both."""
+    """A prior defined by its distribution function F, its survival function 1 − F, and the inverses of both."""
 
     @abstractmethod
     def cdf(self, x: ArrayLike) -> FloatArray:
@@ -66,8 +66,8 @@ class InvertedPrior(Prior):
 class ScaledBeta(InvertedPrior):
     """The beta distribution on an interval: density ∝ t^(a−1) (1 − t)^(b−1) with t = (x − low)/(high − low).
 
-    If a or b is below 1, the density is infinite at the corresponding end. It can then be sampled, but has no
-    maximum.
+    If a or b is below 1, the density is infinite at the corresponding end. The distribution can then be sampled,
+    but has no maximum.
 
     Attributes
     ----------
@@ -180,10 +180,10 @@ class ScipyPrior(InvertedPrior):
 
     Notes
     -----
-    The gradient of the log-density is a five-point central difference, with an error of fourth order. Its step is
-    1e-3 of the smaller of two lengths: the distance to the nearer end of the support, and the larger of the
-    distance to the median and half the central 68 % interval. The relative error is about 1e-9. Closer to an end
-    than 1e-6 of half the central interval, the gradient at that distance is used.
+    The gradient of the log-density is a five-point central difference, with an error of fourth order. Let h be
+    half the width of the central 68 % interval. The step is 1e-3 times the smaller of two lengths: the distance to
+    the nearer end of the support, and the larger of h and the distance to the median. The relative error is about
+    1e-9. At points closer than 1e-6 h to an end, the gradient at that distance is used.
     """
 
     distribution: Any

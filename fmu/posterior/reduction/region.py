@@ -27,7 +27,7 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
     """Return the lower and upper limits of the box in which a reduced model is first trained, shape (n,) each.
 
     The prior's box (`fmu.posterior.parameters.box`) is extended to nearby bounds. It then also covers the few
-    draws in ten thousand that lie more than four prior standard deviations out.
+    draws in ten thousand that lie more than four prior standard deviations from the prior's centre.
     """
     ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
     is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
@@ -42,8 +42,8 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
 def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
 
-    From every plausible local maximum, the points lie along random directions of the Laplace approximation. They
-    are at distances where the log-probability has decreased by a random amount, or at the bounds.
+    The points lie on rays from every plausible local maximum, in random directions of the Laplace approximation.
+    On each ray, the point is where the log-probability has decreased by a random amount, or at the bounds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tolerance of a reduced model: the errors allowed in its frequencies and log-probability."""
+"""Tolerance for a reduced model: the errors allowed in its frequencies and log-probability."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Tolerance:
 
     @classmethod
     def of(cls, reduction: bool | float, n_dof: int = 0) -> Tolerance | None:
-        """Return the tolerance for a problem's argument `reduction`, or None if no reduced model is wanted.
+        """Return the tolerance for a problem's argument `reduction`, or None if it is False (no reduced model).
 
         `n_dof` is the number of degrees of freedom in the largest block.
 
@@ -51,10 +51,10 @@ class Tolerance:
         Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard deviations. For this reason t is at most
         0.1, the Monte Carlo error at an effective sample size of 100.
 
-        For a block of `LARGE` degrees of freedom or more, True allows an error of 0.01 in the log-probability
-        wherever it is within 10 of its maximum. A posterior with some ten parameters hardly leaves this region.
-        The frequencies may have errors of 1e-3 in the box, and are more accurate where the log-probability
-        requires it.
+        If the largest block has `LARGE` degrees of freedom or more, True allows an error of 0.01 in the
+        log-probability wherever it is within 10 of its maximum. A posterior with some ten parameters hardly leaves
+        this region. The frequencies may have errors of 1e-3 in the box, and are more accurate where the
+        log-probability requires it.
         """
         if isinstance(reduction, bool | np.bool_):
             return None if not reduction else MEASURED if n_dof >= LARGE else cls()

@@ -1,4 +1,4 @@
-"""Train a problem's reduced model, accurate in the box and more so where the posterior has its mass."""
+"""Train a problem's reduced model, which is accurate in a box and more so where the posterior has its mass."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _reduce(
     compared: list[int] = []
 
     def some_points(model: ReducedStructure) -> FloatArray:
-        """Return plausible points; for a large structure only inside the trained box, without full solves."""
+        """Return plausible points. For a large structure, they lie in the trained box and need no full solves."""
         if structure.solver == LAPACK:
             return plausible_points(problem.with_model(model), 64, rng, tolerance.depth)
         points = plausible_points(problem.with_model(model.extend(*bounds)), 64, rng, tolerance.depth)
@@ -176,7 +176,10 @@ def _reduce(
 def _find_tolerance(
     problem: Posterior, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
-    """Return the tolerance that a reduced model meets, None for a full model; warn if it misses the request."""
+    """Return the tolerance that a reduced model meets, or None for a full model.
+
+    Warn if the reduced model misses the requested tolerance.
+    """
     if model is model.truth:
         return None
     _warn_if_missed(problem, model, tolerance, state)
@@ -227,9 +230,9 @@ def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatA
 
 
 def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
-    """Return upper bounds of the log-probability error at points (n, ndim), from frequency error bounds, (n,).
+    """Return upper bounds of the log-probability error, (n,), at points (n, ndim), from frequency error bounds.
 
-    The bound is the sum of the changes due to each frequency's largest error separately. To first order,
+    Each bound is the sum of the changes due to each frequency's largest error separately. To first order,
     simultaneous errors of all frequencies cannot change the log-probability by more.
     """
     theta = points[:, : model.n_parameters]
@@ -263,8 +266,8 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
 def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
     """Return the reduced model's largest relative frequency error at theta (n, p), over measured modes.
 
-    The result is 0 if no error exceeds `tolerance`. Points where both models have the same modes but pair
-    different ones with the measured modes are skipped.
+    The result is 0 if no error exceeds `tolerance`. Points are skipped if both models have the same modes there
+    but pair different ones with the measured modes.
     """
     full = model.truth.modes(theta)
     exact, reduced = full.eigenvalues, model.modes(theta).eigenvalues
@@ -326,7 +329,7 @@ def _warn(said: str) -> None:
 
 
 def _looser(tolerance: Tolerance, reached: float) -> float:
-    """Return the power of ten above both the tolerance and the error reached, at most `LOOSEST_FREQUENCY`."""
+    """Return the power of ten above the tolerance and the error `reached`, but at most `LOOSEST_FREQUENCY`."""
     wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
     return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 

@@ -1,1 +1,1 @@
-"""The page and the files for a planned test."""
+"""Write the page and the files for a planned test."""

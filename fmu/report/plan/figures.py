@@ -1,4 +1,4 @@
-"""Plots for a planned test: sensors on the structure, information and bound, expected accuracy."""
+"""Plots for a planned test: sensors on the structure, information with its bound, and expected accuracy."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
 
 
 def view_of(nodes: FloatArray) -> FloatArray:
-    """Return the two axes of the view as rows, shape (2, 3): face-on for a plane structure, otherwise oblique."""
+    """Return the two axes of the view, shape (2, 3): face-on if the structure is plane, otherwise oblique."""
     extent = np.ptp(nodes, axis=0)
     flat = extent <= 1e-6 * extent.max()
     if not flat.any():
@@ -82,7 +82,7 @@ def view_of(nodes: FloatArray) -> FloatArray:
 
 
 def plot_information(plan: Plan) -> Axes:
-    """Plot the expected information against the number of sensors, with its bound and the customary choices."""
+    """Plot the expected information against the number of sensors, with its upper bound and customary choices."""
     curve = plan.with_bounds()
     axes = style.new_figure(style.NARROW, 3.4).subplots()
     axes.plot(curve.index, curve["information"], marker="o", markersize=4, color=style.VERMILLION, label=PLANNED)
@@ -101,7 +101,7 @@ def plot_information(plan: Plan) -> Axes:
 
 
 def plot_expected_sds(plan: Plan) -> Axes:
-    """Plot each parameter's expected standard deviation, relative to its value before the test."""
+    """Plot each parameter's expected standard deviation after the test, relative to its value before the test."""
     table = plan.parameters()
     names = [style.literal(str(name)) for name in table.index[:_MOST_NAMES]]
     axes = style.new_figure(style.NARROW, 0.9 + 0.28 * len(names)).subplots()
@@ -124,7 +124,7 @@ def plot_expected_sds(plan: Plan) -> Axes:
 def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) -> Axes:
     """Plot actual against expected standard deviations in simulated tests.
 
-    Both are relative to the standard deviations expected for the plan.
+    Both are divided by the standard deviations expected for the plan.
     """
     axes = style.new_figure(style.NARROW, 3.6).subplots()
     unit = found.expected[PLANNED]

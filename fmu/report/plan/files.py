@@ -1,4 +1,4 @@
-"""Write a planned test's files: its page, the sensors as CSV and universal files, and a measurement to fill in."""
+"""Write the files of a planned test: a page, sensors as CSV and universal files, and a measurement to fill in."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SENSORS, GEOMETRY, MEASUREMENT = "sensors.csv", "geometry.uff", "measurement.tom
 
 @check_arguments
 def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: SimulatedTests | None = None) -> Path:
-    """Write a plan's page, its sensors, a measurement to fill in and, if coordinates are known, a geometry.
+    """Write a plan's page, its sensors, a measurement to fill in and, if coordinates are known, its geometry.
 
     The files are ``index.html``, ``sensors.csv``, ``measurement.toml`` and ``geometry.uff``.
 

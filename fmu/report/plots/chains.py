@@ -1,4 +1,4 @@
-"""Plots of the chains: trace plots, ranks, autocorrelation, energies, and running means and R-hat."""
+"""Plots of the chains: traces, ranks, autocorrelation, energies, running means and running R-hat."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def plot_traces(
 ) -> style.AxesArray:
     """Plot the chains against step number, one row per parameter and one column per trace, with warm-up shaded.
 
-    For an ensemble, one walker is shown. The axes fit the retained draws, so the warm-up may extend beyond them.
-    Dashed lines are bounds.
+    For an ensemble, one walker is shown. The axis limits fit the draws after warm-up, so the warm-up may extend
+    beyond them. Dashed lines are bounds.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
 
     The plot shows how far the distribution of a chain's ranks among all draws differs from the uniform
     distribution. Chains with the same distribution stay near zero. The p-value is from a multi-chain test of
-    uniformity; if it is below 1 %, the deviating ranks are marked. The test assumes independent draws, so the
-    chains are thinned to their effective sample size, but to at least 20 and at most 500 draws per chain.
+    uniformity; if it is below 1 %, the deviating ranks are marked. Because the test assumes independent draws, the
+    chains are thinned to their effective sample size, within limits of 20 and 500 draws per chain.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def _logarithmic_steps(axes: Axes) -> None:
 
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Plot each parameter's running R-hat, with the limit that the convergence verdict uses.
+    """Plot each parameter's running R-hat, and the limit that the convergence verdict uses.
 
     Parameters
     ----------

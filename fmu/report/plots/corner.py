@@ -1,4 +1,4 @@
-"""A corner plot of a posterior's marginals and pairs."""
+"""Corner plot of a posterior: the marginal of each parameter, and each pair of parameters."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def plot_corner(
     figure: Figure | None = None,
     names: Sequence[str] | None = None,
 ) -> style.AxesArray:
-    """Plot all marginals and all pairs of a posterior; mark the starting point, the bounds and the maximum.
+    """Plot all marginals and all parameter pairs of a posterior; mark starting point, bounds and maximum.
 
     Contours enclose 50 % and 90 % of the draws. Parameters that the data did not inform have grey names.
 
@@ -45,7 +45,7 @@ def plot_corner(
         The parameters at the posterior maximum, SI units.
     figure : Figure, optional
     names : sequence of str, optional
-        The n parameters shown; all parameters by default.
+        The n parameters shown. Defaults to all parameters.
 
     Returns
     -------
@@ -110,9 +110,9 @@ def plot_corner(
 
 
 def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tuple[float, float]]:
-    """Return the range of each axis: the range of the draws with a margin, limited by the bounds.
+    """Return the range of each axis: the range of the draws with a margin, but within the bounds.
 
-    Without this limit, histogram smoothing would spread draws across a bound.
+    Beyond a bound, histogram smoothing would show draws that do not exist.
     """
     low, high = np.quantile(draws, (0.0005, 0.9995), axis=0)
     room = np.where(high > low, _ROOM * (high - low), np.fmax(1e-3 * np.abs(high), np.finfo(float).tiny))
@@ -132,7 +132,7 @@ class _Mark(TypedDict, total=False):
 
 
 def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
-    """Mark the points and bounds that are inside the axes; the legend lists the points that are outside."""
+    """Mark the points and bounds that lie inside the axes. List the points that lie outside in the legend."""
     from matplotlib.lines import Line2D
 
     styles: dict[str, _Mark] = {
@@ -176,7 +176,7 @@ def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[Floa
 
 
 def _arrange_ticks(panel: Axes, most: int) -> None:
-    """Place about `most` ticks per axis, away from the corners, where labels of adjacent panels would overlap."""
+    """Place about `most` ticks on each axis, away from the corners, where adjacent panels' labels overlap."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
 
     for axis in (panel.xaxis, panel.yaxis):

@@ -54,13 +54,13 @@ class Frequencies:
 def plot_frequency_errors(
     measured_hz: ArrayLike, series: Sequence[Frequencies], labels: Sequence[str], figure: Figure | None = None
 ) -> Axes:
-    """Plot the errors, in %, in several frequency sets relative to the measured frequencies.
+    """Plot the errors, in %, of several frequency sets relative to the measured frequencies.
 
     Parameters
     ----------
     measured_hz : array_like, shape (n_modes,)
     series : sequence of Frequencies
-        The frequency sets, side by side for each mode in this order.
+        The frequency sets, plotted side by side for each mode in this order.
     labels : sequence of str
         Labels of the modes.
     figure : Figure, optional
@@ -110,11 +110,10 @@ def plot_frequency_errors(
 def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     """Plot the model's frequency errors before and after updating.
 
-    The frequencies before updating are shown if the trace stores them. Those after updating are the posterior
-    means, with the 90 % interval of a new measurement including noise, or without noise if no noise is modelled.
-    For repeated tests, a new measurement is the mean of as many tests, and the 90 % interval of one more test is
-    shown beside it. If the parameters are updated with frequency response functions alone, the intervals exclude
-    noise.
+    The frequencies before updating are shown if the trace stores them. The frequencies after updating are the
+    posterior means, with the 90 % interval of a new measurement. The interval excludes noise if no noise is
+    modelled, or if only frequency response functions are used in updating. For repeated tests, a new measurement
+    is the mean of as many tests, and the 90 % interval of one more test is shown beside it.
 
     Parameters
     ----------
@@ -155,7 +154,7 @@ def _new_figure(labels: Sequence[str]) -> Figure:
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Plot the error, in %, when each measured frequency is predicted from the other modes.
+    """Plot the prediction error, in %, of each measured frequency when it is predicted from the other modes.
 
     Parameters
     ----------
@@ -178,7 +177,7 @@ def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
-    """Return the model's frequencies before updating in Hz, shape (n_modes,), or None if the trace has none."""
+    """Return the model's frequencies before updating in Hz, (n_modes,), or None if the trace lacks them."""
     if has(trace, GROUP):
         return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
     if has(trace, "maxima"):

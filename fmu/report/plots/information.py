@@ -1,4 +1,4 @@
-"""Plots of the information in the data: prior and posterior densities, and frequency sensitivities."""
+"""Plots that show how informative the data are: prior and posterior densities, and frequency sensitivities."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _density(x: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Plot the frequencies' sensitivity matrix.
+    """Plot the sensitivity matrix of the frequencies with respect to the parameters.
 
     An entry is the frequency change, in error standard deviations, for a parameter change of one prior standard
     deviation. The model is linearised at the highest maximum, or at the starting point if no maximum was searched

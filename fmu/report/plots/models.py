@@ -23,18 +23,18 @@ _ROW = 0.16
 
 
 def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a colour for each model, keyed by name; the first model, the reference, is grey."""
+    """Return a colour for each model, keyed by name. The first model (the reference) is grey."""
     palette = [style.GREY, *style.PALETTE]
     return {name: palette[k % len(palette)] for k, name in enumerate(names)}
 
 
 def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = None) -> Axes:
-    """Plot the errors, in %, in each model's predictions of a mode from the other modes, with 90 % intervals.
+    """Plot the error, in %, with which each model predicts a mode from the other modes, with 90 % intervals.
 
     Parameters
     ----------
     tables : mapping of str to pandas.DataFrame
-        For each model, the result of `fmu.leave_one_out`; all must have the same modes.
+        For each model, the result of `fmu.leave_one_out`. All results must have the same modes.
     figure : Figure, optional
 
     Returns
@@ -55,7 +55,7 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
 
 
 def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> Axes:
-    """Plot each parameter's mean and 90 % interval from every model, relative to its start value.
+    """Plot each parameter's mean and 90 % interval under every model, relative to the parameter's start value.
 
     The parameters are those of the first model. Parameters that start at 0 are shown in SI units.
 

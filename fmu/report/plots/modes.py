@@ -67,8 +67,9 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.
 
     Diamonds are the measured components, and a dotted line is the measured shape expanded to the mesh. A straight
     structure is shown with its largest displacement upwards. Any other structure is shown in its plane or in
-    isometric projection, with scaled displacements; more than six modes are shown in two columns. Without geometry
-    the mode shape components are plotted. Measured shapes are scaled to the posterior mean by least squares.
+    isometric projection, with scaled displacements. More than six modes are shown in two columns. If there is no
+    geometry, the mode shape components are plotted. Measured shapes are scaled to the posterior mean by least
+    squares.
 
     Parameters
     ----------
@@ -127,9 +128,9 @@ def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
 
 
 def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
-    """Return one mode's measured components scaled to the posterior mean, NaN where nothing was measured.
+    """Return one mode's measured components, scaled to the posterior mean; NaN for unmeasured components.
 
-    With ``of="expanded"``, return the expanded displacements of all nodes, scaled by the same factor. Return None
+    If `of` is "expanded", return the expanded displacements of all nodes, scaled by the same factor. Return None
     if the mode has no such entry.
     """
     if of not in one:
@@ -222,7 +223,7 @@ def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
 def _lines(
     axis: Axes, nodes: FloatArray, ends: IntArray, shade: str, dashes: str, words: str = "", width: float = 1.8
 ) -> None:
-    """Plot all elements as one line, with gaps between elements that are not connected in sequence."""
+    """Plot all elements as one line, interrupted wherever successive elements do not share a node."""
     x, y = _strokes(nodes, ends).T
     axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width, label=words or None,
               rasterized=len(ends) > _MOST_STROKES)  # fmt: skip
@@ -244,9 +245,9 @@ _ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0
 
 
 def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray:
-    """Return the projection matrix, shape (3, 2), onto the plane of a plane structure that moves in its plane.
+    """Return the projection matrix, shape (3, 2), for the plot of a structure.
 
-    For any other structure the projection is isometric.
+    If the structure is plane and moves in its plane, the projection is onto this plane. Otherwise it is isometric.
     """
     wide = np.flatnonzero(_is_wide(coordinates))
     in_plane = len(wide) == 2 and np.sum(displacement[..., wide] ** 2) > 0.5 * np.sum(displacement**2)

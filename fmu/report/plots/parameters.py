@@ -1,4 +1,4 @@
-"""A plot of the parameters before and after updating."""
+"""Plot the parameters before and after updating."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def plot_parameter_updates(
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces, keyed by their label in the legend, side by side for each parameter.
+        Traces, keyed by their label in the legend. They are plotted side by side for each parameter.
     published : mapping of str to array_like, shape (ndim,), optional
-        Published values to compare with the trace that has the same label, SI units.
+        Published values in SI units, keyed by the label of the trace that they are compared with.
     maximum : array_like, shape (ndim,), optional
         The parameters at the posterior maximum, SI units.
     summaries : mapping of str to pandas.DataFrame, optional
@@ -92,12 +92,12 @@ def plot_parameter_updates(
 
 
 def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
-    """Return the names of the parameters that are error standard deviations."""
+    """Return the names of the parameters that are inferred error standard deviations."""
     return frozenset((problem_of(trace).get("likelihood") or {}).get("noise", ()))
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
-    """Add the ranges between the bounds and the start values, each only if finite, and label the axis."""
+    """Plot the ranges between the bounds and the start values, if all are finite, and label the axis."""
     x = np.arange(len(members))
     lower, upper, start = (
         np.array([constant(trace, which, name) / style.unit_of(trace, name).factor for name in members])

@@ -34,10 +34,10 @@ def plot_forest(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Plot every parameter's mean with 50 % and 90 % intervals from every sampler, beside R-hat and ESS.
+    """Plot every parameter's mean with 50 % and 90 % intervals for every sampler, with R-hat and ESS beside them.
 
-    This is similar to ArviZ's ``plot_forest``, which requires runs of the same length. Each parameter has its own
-    axes, because the units differ.
+    ArviZ's ``plot_forest`` is similar but requires runs of the same length. Each parameter has its own axes,
+    because the units differ.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def plot_forest(
 
 
 def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> style.AxesArray:
-    """Plot every parameter's posterior density from all samplers on the same axes.
+    """Plot every parameter's posterior density for all samplers on the same axes.
 
     Parameters
     ----------
@@ -128,11 +128,11 @@ def plot_ranks_of_samplers(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Plot the ranks of the samplers' draws with ArviZ; all are near zero if the distributions agree.
+    """Plot the ranks of the samplers' draws with ArviZ. All curves are near zero if the distributions agree.
 
-    The plots are those of `plot_ranks`, with samplers in place of chains. The test in them assumes independent
-    draws. Every sampler's draws are therefore thinned to half of the smallest effective sample size, but to
-    at least 20 and at most 500 draws.
+    The plots are the same as in `plot_ranks`, with samplers in place of chains. Their test assumes independent
+    draws. Every sampler's draws are therefore thinned to half of the smallest effective sample size, within limits
+    of 20 and 500 draws.
 
     Parameters
     ----------
@@ -178,9 +178,9 @@ def plot_growth(
     search: float = 0.0,
     figure: Figure | None = None,
 ) -> Axes:
-    """Plot the smallest effective sample size against the number of model solves as each run grew.
+    """Plot how each run's smallest effective sample size grew with the number of model solves.
 
-    A dot marks where a run first met the convergence criterion.
+    A dot marks the point at which a run first met the convergence criterion.
 
     Parameters
     ----------

@@ -77,12 +77,12 @@ def tint(base: str, share: float) -> tuple[float, float, float]:
 
 
 def chain_colours(trace: xr.DataTree) -> list[str]:
-    """Return the colours of the chains; the colours repeat after the end of `PALETTE`."""
+    """Return a colour for each chain. The colours repeat after the end of `PALETTE`."""
     return [PALETTE[chain % len(PALETTE)] for chain in range(trace["posterior"].sizes["chain"])]
 
 
 def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
-    """Add a legend with the chain colours below the figure, if several chains have different colours."""
+    """Add a legend of the chains below the figure, if there are several chains with different colours."""
     from matplotlib.lines import Line2D
 
     shades = chain_colours(trace)
@@ -117,7 +117,7 @@ def finish(axes: Axes, x: str = "", y: str = "") -> None:
 
 
 def height_of_row(n: int) -> float:
-    """Return the height in inches for each of `n` axes in a column; up to 12 axes fit on a printed page."""
+    """Return the height in inches of each of `n` axes in a column, so that up to 12 axes fit on a page."""
     return 1.35 if n <= 8 else 1.1
 
 
@@ -129,7 +129,7 @@ def stack_axes(n: int, figure: Figure | None, height: float | None = None, share
 
 
 def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
-    """Return `n` axes in two columns, shape (n,), with shared x- and y-axes if `shared` is True."""
+    """Return `n` axes in two columns, as an array (n,). They share x- and y-axes if `shared` is True."""
     axes = figure.subplots((n + 1) // 2, 2, sharex=shared, sharey=shared, squeeze=False).ravel()
     for spare in axes[n:]:
         spare.remove()
@@ -166,7 +166,7 @@ def literal(text: str) -> str:
 
 
 def thin_labels(labels: Sequence[str]) -> list[str]:
-    """Return tick labels with all but every k-th label emptied, if there are too many to read."""
+    """Return the tick labels, with all but every k-th label made empty if there are too many to read."""
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 

@@ -23,11 +23,11 @@ _BAR = {"elinewidth": 1.6, "capsize": 0, "marker": "o", "markersize": 3.5, "line
 
 
 def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Plot each population with its parameter's value in every test.
+    """Plot each population together with its parameter's value in every test.
 
-    The band is the population's mean ± sd (for a log-normal population, of the logarithm), which shows the
-    structure's variability. The bars are the central 90 % intervals of the values, which show how uncertain the
-    estimates are.
+    The band is the population's mean ± sd (of the logarithm, for a log-normal population). It shows how much the
+    structure varies. The bars are the central 90 % intervals of the values. They show how uncertain the estimates
+    are.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
 
 
 def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
-    """Plot, against time, the losses and the probability that they are larger than `beyond`.
+    """Plot the losses, and the probability that they are larger than `beyond`, against time.
 
     The band around a loss is its central 90 % interval. Vertical bands are the dates' central 90 % intervals.
 
@@ -138,7 +138,7 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
     Returns
     -------
     ndarray of Axes
-        The probability, and the losses.
+        One axes for the probability, and one for the losses.
     """
     table, names = damage_by_test(trace, (beyond,)), list(map(str, trace[BY_TEST].data_vars))
     figure = figure or style.new_figure(WIDE, 4.2)
@@ -167,12 +167,12 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
 
 
 def _time_of(trace: xr.DataTree, name: str) -> str:
-    """Return the covariate that serves as time for a parameter's damage, or an empty string if test numbers do."""
+    """Return the time covariate for a parameter's damage; empty if test numbers serve as time."""
     return str(problem_of(trace)["by_date"][name])
 
 
 def _times(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the time of each test, shape (n_tests,), on the time axis for a parameter's damage."""
+    """Return the time of each test, shape (n_tests,), measured as for the damage of the parameter `name`."""
     tests, by = problem_of(trace)["tests"], _time_of(trace, name)
     return np.array([test["covariates"][by] if by else t + 1.0 for t, test in enumerate(tests)])
 

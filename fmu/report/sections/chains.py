@@ -77,7 +77,7 @@ def reliability(run: ReportedRun) -> PageSection:
 
 
 def paths(run: ReportedRun) -> PageSection:
-    """Return the section with trace plots and, for several chains, rank plots."""
+    """Return the section with trace plots and, if there are several chains, rank plots."""
     ranges = []
     for name in run.names:
         unit, n = run.unit(name), decimals(run.value(name, "sd"))
@@ -98,7 +98,7 @@ def paths(run: ReportedRun) -> PageSection:
 
 
 def _agreement(run: ReportedRun) -> str:
-    """Return a sentence that says whether the chains agree, with the largest R-hat."""
+    """Return a sentence that says whether the chains agree and gives the largest R-hat."""
     rhat = run.summary["rhat"].fillna(np.inf)
     name, worst = str(rhat.idxmax()), float(rhat.max())
     if not np.isfinite(worst):
@@ -131,7 +131,7 @@ def _furthest(axis: Axes) -> float:
 
 
 def settling(run: ReportedRun) -> PageSection:
-    """Return the section on autocorrelation, running means and, for several chains, running R-hat."""
+    """Return the section on autocorrelation and running means and, if there are several chains, running R-hat."""
     drawings = [_autocorrelation(run), _running_means(run)]
     if _has_several_chains(run):
         drawings.append(_running_rhat(run))

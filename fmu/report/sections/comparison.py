@@ -44,13 +44,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Several runs on one posterior, with the comparisons that all sections share.
+    """Several runs on one posterior, with comparisons that several sections use.
 
     Attributes
     ----------
     runs : mapping of str to ReportedRun
     grown : mapping of str to Growth
-        Each run's R-hat and effective sample size as it grew.
+        Each run's R-hat and effective sample size as the run grew.
     costs : pandas.DataFrame
         The result of ``costs_side_by_side`` for the runs.
     agreed : Agreement
@@ -64,7 +64,7 @@ class Compared:
 
     @classmethod
     def of(cls, runs: Mapping[str, ReportedRun]) -> Compared:
-        """Compare the given runs and return everything that the sections share."""
+        """Compare the given runs and return all comparisons as a `Compared`."""
         traces = {name: run.trace for name, run in runs.items()}
         grown = {name: growth(trace) for name, trace in traces.items()}
         agreed = agreement(traces, {name: run.summary for name, run in runs.items()})
@@ -170,7 +170,7 @@ def _is_baseline(run: ReportedRun) -> str:
 
 
 def _gradients(runs: Mapping[str, ReportedRun]) -> str:
-    """Return a sentence on the cost of an exact gradient in solves, or "" if no gradients were evaluated."""
+    """Return a sentence on the cost of an exact gradient in solves; empty if no gradients were evaluated."""
     known = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
     listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in known.items() if not np.isnan(cost))
     return f"An exact gradient costs as much as so many solves: {listed}." * bool(listed)
@@ -223,7 +223,7 @@ def _paths(run: ReportedRun) -> Picture:
 
 
 def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
-    """Return one table row per parameter: its name, its unit, and the mean with interval from each sampler."""
+    """Return one table row per parameter: its name, its unit, and each sampler's mean with its interval."""
     first, rows = next(iter(runs.values())), []
     for name in first.names:
         n = decimals(min(run.value(name, "sd") for run in runs.values()))

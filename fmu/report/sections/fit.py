@@ -1,4 +1,4 @@
-"""The verdict on the model's fit to the data, and the section on the checks behind it."""
+"""Give the verdict on the model's fit to the data, and the section on the checks behind it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BECAUSE = {
 
 
 def model_fit(run: ReportedRun) -> Verdict:
-    """Return the verdict on the model's fit, which does not follow from the sampler's convergence."""
+    """Return the verdict on the model's fit. A converged run does not imply a good fit."""
     fit = run.diagnosis.fit
     # warnings that appear elsewhere: in `judge_data`, as failed checks, or as checks that were not done
     elsewhere = {*information_warnings(run.trace), *fit.against, *left_out_warnings(run.trace)}
@@ -61,7 +61,7 @@ def _shapes(run: ReportedRun) -> tuple[str, ...]:
 
 
 def checks(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the model checks: each result and the errors that the check could have detected."""
+    """Return the section on the model checks: each check's result, and the errors that it could have detected."""
     title, fit = "Checks of the model", run.diagnosis.fit
     if not fit.checks:
         return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))

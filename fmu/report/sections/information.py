@@ -1,4 +1,4 @@
-"""The report section on prior and posterior densities, and the figure of the parameter sensitivities."""
+"""Show prior and posterior densities in a report section, and parameter sensitivities in a figure."""
 
 from __future__ import annotations
 
@@ -46,10 +46,7 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
 
 
 def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
-    """Return sentences on the parameter sensitivities, and a figure of the sensitivity matrix.
-
-    The sensitivities are those of the linearised model.
-    """
+    """Return sentences on the linearised model's sensitivities, and a figure of its sensitivity matrix."""
     size = np.linalg.norm(found.sensitivity, axis=0)
     weak = [name for name, x in zip(found.names, size, strict=True) if x < _WEAK * size.max()]
     said = "Every parameter affects at least one mode noticeably."

@@ -1,4 +1,4 @@
-"""The page that compares models of the same data: which is preferred, and which parameters show a misfit."""
+"""The page that compares models of the same data: the preferred model, and the parameters that show a misfit."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple
 def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
     """Return the verdict on the parameters that show a misfit, or () if no model has an inferred scatter.
 
-    It is based on the model with the most inferred scatters.
+    It uses the model with the most inferred scatters.
     """
     name, found = _most_scatters(traces)
     if not found:
@@ -57,7 +57,7 @@ def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
 
 
 def _most_scatters(traces: Mapping[str, xr.DataTree]) -> tuple[str, tuple[Scatter, ...]]:
-    """Return the name of the model with the most inferred scatters, and these scatters."""
+    """Return the name of the model with the most inferred scatters, together with these scatters."""
     every = {name: scatters(trace) for name, trace in traces.items()}
     name = max(every, key=lambda one: len(every[one]))
     return name, every[name]

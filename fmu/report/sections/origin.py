@@ -103,7 +103,7 @@ def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
 
 
 def _beside(found: float, allowed: float) -> tuple[str, str]:
-    """Return an error and its largest allowed value as texts, with enough digits to tell them apart."""
+    """Return an error and its limit as texts, with enough digits to tell them apart."""
     text = significant(found, 2)
     return apart(found, allowed, digits=2)[0] if text == significant(allowed, 2) else text, given(allowed)
 
@@ -127,7 +127,7 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
 def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
     """Return the list of assumptions and, if known, the table of measured frequency errors.
 
-    The caption contains `inferred`, a sentence that says at which value an inferred σ is shown.
+    `inferred` is a sentence for the caption. It says at which value an inferred σ is shown.
     """
     if not found.errors:
         return (Items(found.sentences),)
@@ -165,7 +165,7 @@ def settings(run: ReportedRun) -> PageSection:
 
 
 def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
-    """Yield each nested setting's name and text; long lists are described by size and range."""
+    """Yield the name and text of each nested setting. Long lists are described by their size and range."""
     table, several = mapping_in(value), list_in(value) or []
     if table:
         for key, inner in table.items():

@@ -99,7 +99,7 @@ def _has_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]:
-    """Return a table of the model's own predictions, and of predictions that include model error and noise."""
+    """Return a table of predictions, both from the model alone and with model error and noise added."""
     rows = []
     for name, (_, row) in zip(names, table.iterrows(), strict=True):
         n = decimals(float(row["noisy_sd"]))

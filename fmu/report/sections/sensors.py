@@ -1,4 +1,4 @@
-"""The report section on test–model agreement at the sensors (CoMAC, ECoMAC), before and after updating."""
+"""Report section on how well test and model agree at the sensors (CoMAC, ECoMAC), before and after updating."""
 
 from __future__ import annotations
 

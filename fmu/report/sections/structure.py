@@ -37,7 +37,7 @@ MOST_DRAWN = 5000
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
-    """Return a drawing of the structure with its legend; empty without geometry or for a very large structure."""
+    """Return a drawing of the structure with its legend; empty if it has no geometry or is very large."""
     found = sketch_of(trace)
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
@@ -47,7 +47,10 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
-    """Return a drawing's legend with the colour of each parameter, None for one that changes no element."""
+    """Return a drawing's legend: the parameters of each colour.
+
+    The colour of a parameter is None if the parameter changes no element; it is then left out.
+    """
     entries: dict[str, list[str]] = {}
     for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
         if colour is not None:
@@ -109,7 +112,7 @@ def _drawn_directions(found: Information) -> PageTable:
 def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
     """Return the table of a linearised model's directions, with a caption that begins with `lead`.
 
-    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows how far the draws spread along
+    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows the spread of the draws along
     each direction.
     """
     rows = tuple(
@@ -132,7 +135,7 @@ def directions(found: Identifiability, lead: str, drawn: FloatArray | None = Non
 
 
 def _contraction(run: ReportedRun, found: Information) -> PageTable:
-    """Return the table of prior and posterior moments; parameters that the data did not inform are grey."""
+    """Return the table of prior and posterior moments. Parameters that the data did not inform are grey."""
     rows = []
     for k, name in enumerate(run.names):
         unit, prior = run.unit(name), run.trace["prior"][name].to_numpy()

@@ -1,4 +1,4 @@
-"""Report sections for several tests of one structure: variation between tests, next test, damage."""
+"""Report sections for several tests of one structure: variation between tests, the next test, and damage."""
 
 from __future__ import annotations
 
@@ -63,7 +63,10 @@ _ADDRESS = ' xmlns="http://www.w3.org/2000/svg"'
 
 
 def population(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the variability between tests and the predicted next test, or `Omitted`."""
+    """Return the section on the variability between tests and the predicted next test.
+
+    Return `Omitted` if there is only one test, or no parameter has a population.
+    """
     title = "Variability between tests"
     if not has(run.trace, "tests"):
         return Omitted(title, ONE_TEST)
@@ -114,7 +117,7 @@ def population(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _outliers(run: ReportedRun) -> list[Part]:
-    """Return a sentence on the tests that may be outliers, and a table of the most probable ones."""
+    """Return a sentence on the tests that may be outliers, and a table of the most probable outliers."""
     group = run.trace["populations"].to_dataset()
     names, tests = group["population"].to_numpy().tolist(), group["test"].to_numpy().tolist()
     p = group["outlier"].to_numpy()
@@ -167,7 +170,7 @@ def _next_test(run: ReportedRun) -> PageTable:
 
 
 def losses(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on losses in groups of tests, and on losses that began at an unknown date."""
+    """Return the section on losses: in groups of tests, and since an unknown date."""
     title = "Damage"
     parts = [*_losses_of_groups(run), *_losses_by_test(run)]
     if not parts:
@@ -176,7 +179,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _losses_by_test(run: ReportedRun) -> list[Part]:
-    """Return the parts on damage at an unknown date, or an empty list if no parameter has it."""
+    """Return the parts on damage since an unknown date, or an empty list if no parameter has it."""
     if not has(run.trace, BY_TEST):
         return []
     dates = [name for name, (kind, *_) in roles_of(run.trace).items() if kind == "date"]
@@ -257,7 +260,7 @@ def lost(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _withheld_in(run: ReportedRun, state: str, table: pd.DataFrame, reason: str) -> Verdict:
-    """Return the verdict on one state if its loss probabilities are withheld for the given `reason`."""
+    """Return the verdict on one state whose loss probabilities are withheld for the given `reason`."""
     most = str(table["mean"].idxmax())
     _, sd, low, high = (100.0 * table.loc[most].to_numpy(dtype=float)[:4]).tolist()
     within = interval(low, high, decimals(sd))
@@ -300,13 +303,16 @@ def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> 
 
 
 def _equals(p: float) -> str:
-    """Return a probability with its relation sign: ``"= 32 %"``, ``"> 99 %"``."""
+    """Return a probability as text with a relation sign: ``"= 32 %"``, ``"> 99 %"``."""
     text = probably(float(p))
     return text if text[0] in "<>" else f"= {text}"
 
 
 def damage_drawing(trace: xr.DataTree) -> Markup:
-    """Return drawings of the structure coloured by its losses in each state; empty without losses or geometry."""
+    """Return drawings of the structure, coloured by the losses in each state.
+
+    The result is empty if the trace has no losses or no geometry.
+    """
     if not has(trace, LOSSES):
         return Markup("")
     drawings = _drawings(trace, damage(trace, _BEYOND[:1]))
@@ -319,7 +325,7 @@ def damage_drawing(trace: xr.DataTree) -> Markup:
 
 
 def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup, list[tuple[str, str]]]]:
-    """Return a drawing, with elements coloured by their losses, and its legend, keyed by state.
+    """Return two values for each state, keyed by state: a drawing coloured by the losses, and its legend.
 
     The dict is empty if the trace has no geometry or the structure is too large to draw.
     """
@@ -343,12 +349,15 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
 
 
 def _shade(p: float) -> str:
-    """Return the colour for a probability; negative numbers and NaN give the colour of elements without a loss."""
+    """Return the colour for a probability; a negative number or NaN gives the colour for elements without loss."""
     return UNCHANGED if p < 0 or np.isnan(p) else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 
 def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...], tuple[View, ...]]:
-    """Return drawings of the structure coloured by its losses in each state, and a view that can be rotated."""
+    """Return drawings of the structure coloured by the losses in each state, and a view that can be rotated.
+
+    Each is a tuple that may be empty.
+    """
     sketch, drawings = sketch_of(run.trace), _drawings(run.trace, table)
     if sketch is None or not drawings:
         return (), ()

@@ -96,7 +96,7 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def _error_of_ends(run: ReportedRun) -> str:
-    """Return a sentence on the largest Monte Carlo error in an interval's end, relative to the parameter's sd."""
+    """Return a sentence on the interval ends' largest Monte Carlo error, relative to the parameter's sd."""
     errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
     if errors.isna().any():
         return "The Monte Carlo error of the ends of the intervals is unknown."
@@ -216,7 +216,7 @@ def _crossings(run: ReportedRun, seen: Visits) -> str:
 
 
 def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
-    """Return the table with a column for each maximum, beside starting point, posterior mean and measurement."""
+    """Return a table that compares the maxima with the starting point, the posterior mean and the measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2
@@ -243,7 +243,7 @@ def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
 
 
 def _shares_of_draws(seen: Visits) -> list[str]:
-    """Return the share of draws at each maximum as text, with its Monte Carlo error if that is positive."""
+    """Return each maximum's share of the draws as text, with its Monte Carlo error if the error is positive."""
     return [
         f"{share(part)} ± {share(error)}" if error > 0 else share(part)
         for part, error in zip(seen.share, seen.error, strict=True)
@@ -256,7 +256,7 @@ def evidence(run: ReportedRun) -> PageSection | Omitted:
 
 
 def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
-    """Return the section on all estimates of the log-evidence, with their method, error and reliability."""
+    """Return the section on all estimates of the log-evidence, with the method, error and reliability of each."""
     title = "Evidence"
     first = next(iter(runs.values()))
     known = [run.maxima for run in runs.values() if run.maxima is not None]

@@ -1,4 +1,4 @@
-"""The verdicts on the first screen: changes, their certainty, undetermined parameters, fit and convergence."""
+"""Verdicts on the first screen: parameter changes, their certainty, undetermined parameters, fit, convergence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FEW = 3
 
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the verdicts on the first screen in the order in which an engineer asks; losses come first."""
+    """Return the verdicts on the first screen, ordered as an engineer would ask. Losses come first."""
     *what, fit = of_the_model(run)
     if not has(run.trace, LOSSES):
         return *what, judge_data(run), fit, convergence(run)
@@ -57,14 +57,14 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
 
 
 def _change(run: ReportedRun, name: str) -> float:
-    """Return the posterior mean's change relative to the start value, or 0 if that is zero or unknown."""
+    """Return the posterior mean's change relative to the start value, or 0 if the start value is 0 or unknown."""
     start = constant(run.trace, "start", name)
     ratio = float(run.summary["mean"][name]) / start - 1.0 if start else 0.0
     return ratio if np.isfinite(ratio) else 0.0
 
 
 def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the verdict on the parameter changes; `names` lists the parameters with the largest change first."""
+    """Return the verdict on the parameter changes. `names` is sorted so that the largest change comes first."""
     question = "What changed?"
     if not names:
         return Verdict(question, "Nothing that the data determine", None, said=_errors(run))
@@ -82,7 +82,7 @@ def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 
 def _errors(run: ReportedRun) -> str:
-    """Return a sentence with the largest frequency error before and after updating, or "" without frequencies."""
+    """Return a sentence with the largest frequency error before and after updating; empty without frequencies."""
     if run.prediction is None:
         return ""
     measured, after = (run.prediction[column].to_numpy() for column in ("measured", "mean"))

@@ -1,4 +1,4 @@
-"""Processing of measured frequency response functions: estimates, resonances, modes and warnings.
+"""Process measured frequency response functions: estimates, resonances, modes and warnings.
 
 Reading order: checks, estimates, peaks, doubts, identification.
 """

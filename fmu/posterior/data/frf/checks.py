@@ -159,7 +159,7 @@ def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_
     chosen, used : ndarray of bool, shape (n_frfs, n_lines)
         Values that the user chose, and the chosen values that have a standard deviation.
     name, of_sd : str
-        Name of the attribute that chose the lines, and of the one that gives the standard deviation.
+        Name of the attribute that chose the lines, and name of the attribute that gives the standard deviation.
 
     Raises
     ------

@@ -4,7 +4,7 @@ Let H = (iω)^k × receptance, with k = 0 for a receptance, 1 for a mobility and
 damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
 
 - Below the first resonance |H| is proportional to ω^k (supported structure) or to ω^(k − 2) (free structure).
-  Compared with a resonance, the phase there at a driving point is 90° ahead (supported) or 90° behind (free).
+  At a driving point, the phase there is 90° ahead of the phase at a resonance (supported) or 90° behind (free).
 - At a resonance a receptance and an accelerance are imaginary, and a mobility is real.
 - The real part of the mobility at a driving point is nowhere negative, because the force supplies power.
 - H_jk = H_kj.
@@ -43,7 +43,7 @@ _FEWEST_FREEDOM = 8.0
 
 
 class _Signs(NamedTuple):
-    """Evidence about the kind of FRF; None or NaN if the FRFs are inconclusive.
+    """Evidence about the kind of FRF. An attribute is None or NaN if the FRFs do not determine it.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class _Signs(NamedTuple):
     is_imaginary: bool | None
 
     def slope_fits(self, k: int) -> bool:
-        """Return True if the slope is possible for FRFs of kind k."""
+        """Return True if the slope is possible for FRFs of kind k, or unknown."""
         slopes = {None: (k, k - 2), False: (k,), True: (k - 2,)}[self.is_free]
         return bool(np.isnan(self.slope)) or round(self.slope) in slopes
 

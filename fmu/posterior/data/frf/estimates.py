@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """Return the standard deviations |H| √((1 − γ²)/(2 γ² n)) of FRFs, infinite if γ² = 0.
+    """Return the FRFs' standard deviations |H| √((1 − γ²)/(2 γ² n)); infinite where γ² = 0.
 
     All arrays have the shape (n_frfs, n_lines).
     """
@@ -104,8 +104,8 @@ def estimate_frfs(
 
     The spectra are computed by Welch's method in `scipy.signal` (1967, IEEE Transactions on Audio and
     Electroacoustics 15, 70). A segment should be several times longer than the structure's decay time 1/(2π ζ f).
-    Otherwise leakage makes the resonances too low and too wide, and the coherence shows only part of this bias.
-    Segments that overlap are correlated: see `independent_averages`.
+    If it is shorter, leakage makes the resonances too low and too wide, and the coherence shows only part of this
+    bias. Overlapping segments are correlated; see `independent_averages`.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def estimate_frfs(
 
 
 def independent_averages(window: FloatArray, step: int, n_segments: int) -> float:
-    """Return the number of independent averages that would have the same variance as overlapping segments.
+    """Return the number of independent segments whose average has the same variance as the overlapping segments.
 
     This is K/(1 + 2 Σ_j (1 − j/K) ρ_j) for K segments, with ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch
     1967, IEEE Transactions on Audio and Electroacoustics 15, 70).

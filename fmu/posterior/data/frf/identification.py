@@ -119,13 +119,13 @@ def _check_lines(f: FloatArray) -> None:
 
 
 def _width(f: FloatArray, peaks: Peaks) -> FloatArray:
-    """Return the distance in Hz from each resonance within which a pole belongs to it, shape (n_peaks,)."""
+    """Return the largest distance in Hz between each resonance and a pole that belongs to it, shape (n_peaks,)."""
     spacing = (f[-1] - f[0]) / (len(f) - 1)
     return _WIDTHS * np.fmax(spacing, peaks.damping * peaks.frequencies_hz)
 
 
 def _poles(f: FloatArray, measured: Any, peaks: Peaks, k: int) -> tuple[FloatArray, FloatArray, Any]:
-    """Return frequencies in Hz (m,), damping ratios (m,) and modal constants (n_frfs, m) of nearby poles."""
+    """Return frequencies in Hz (m,), damping ratios (m,) and modal constants (n_frfs, m) of poles near peaks."""
     try:
         from sdypy import EMA
     except ImportError:

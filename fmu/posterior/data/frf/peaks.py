@@ -35,7 +35,7 @@ class Peaks(NamedTuple):
     ----------
     frequencies_hz : ndarray, shape (m,)
     damping : ndarray, shape (m,)
-        Damping ratios; NaN if there are too few lines.
+        Damping ratios; NaN for a resonance with too few lines.
     """
 
     frequencies_hz: FloatArray
@@ -117,7 +117,7 @@ class _Peak(NamedTuple):
     shape: ComplexArray
 
     def is_same(self, other: _Peak) -> bool:
-        """Return True if another peak is close and has a similar shape, so that both belong to one mode."""
+        """Return True if the other peak is close and has a similar shape, so that both belong to one mode."""
         wide = _WIDTHS * np.nan_to_num(max(self.damping, other.damping)) * self.omega
         return bool(abs(self.omega - other.omega) < wide and abs(np.vdot(self.shape, other.shape)) ** 2 > 0.5)
 
@@ -125,16 +125,16 @@ class _Peak(NamedTuple):
 def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMINENCE) -> Peaks:
     """Return the resonances at the peaks of the complex mode indicator function (CMIF).
 
-    The CMIF consists of the mobility matrix's singular values at each line; the matrix is responses × drives
-    (Shih, Tsuei, Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak in the largest
-    singular value counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak in a
-    lower singular value is a second mode if it is not much smaller, and has another shape and a separate
-    resonance. Otherwise two modes exchange their order there. If some FRFs in the matrix were not measured, the
-    root sum of squares over all FRFs replaces the CMIF. Two modes within a half-power bandwidth are then one peak.
+    The CMIF consists of the singular values of the mobility matrix (responses × drives) at each line (Shih, Tsuei,
+    Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak in the largest singular value
+    counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak in a lower singular
+    value is a second mode if it is not much smaller, and has another shape and a separate resonance. Otherwise two
+    modes exchange their order there. If some FRFs in the matrix were not measured, the root sum of squares over
+    all FRFs replaces the CMIF. Two modes within a half-power bandwidth are then one peak.
 
     A peak's singular vectors combine the FRFs into a single FRF with one mode. A rational function of order two,
-    fitted to the lines near the peak, gives frequency and damping. If the fit fails, the peak's line and
-    half-power bandwidth give them.
+    fitted to the lines near the peak, gives the frequency and the damping ratio. If the fit fails, the peak's line
+    is the frequency, and the half-power bandwidth gives the damping ratio.
 
     Parameters
     ----------
@@ -173,10 +173,10 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 
 
 def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, damping: float) -> bool:
-    """Return True if a peak of a lower singular-value curve at line i is a second mode.
+    """Return True if a peak at line i of a lower singular-value curve is a second mode.
 
-    Where two modes only exchange their order, the first curve has a valley. The resonance of a second mode, rad/s,
-    must be within two lines and wider than one.
+    If two modes only exchange their order there, the first curve has a valley. The resonance of a second mode,
+    rad/s, must lie within two lines of the peak, and its half-power bandwidth must exceed the line spacing.
     """
     low, high = max(i - 2, 0), min(i + 2, len(omega) - 1)
     is_valley = 0 < int(np.argmin(first[low : high + 1])) < high - low
@@ -197,7 +197,10 @@ def fill_gaps(spectra: Spectra) -> ComplexArray:
 
 
 def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray:
-    """Return the FRFs as matrices (n_lines, n_responses, n_drives), or as one column if some are missing."""
+    """Return the FRFs as matrices (n_lines, n_responses, n_drives).
+
+    If some FRFs are missing or were measured twice, return all FRFs as a single column (n_lines, n_frfs, 1).
+    """
     responses, drives = (list(dict.fromkeys(column)) for column in zip(*axes, strict=True))
     if len(set(axes)) < len(responses) * len(drives) or len(axes) > len(set(axes)):
         return np.ascontiguousarray(mobility.T)[:, :, None]
@@ -210,8 +213,8 @@ def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray
 def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
     """Return the largest standard deviation of the mobilities at each line, shape (n_lines,).
 
-    If it is unknown, it is estimated from the running median of squared second differences over the lines; it is
-    zero for fewer than `_NEIGHBOURS` lines.
+    If the standard deviations are unknown, they are estimated from the running median of the squared second
+    differences over the lines. With fewer than `_NEIGHBOURS` lines they are set to zero.
     """
     from scipy.ndimage import median_filter
 
@@ -226,9 +229,9 @@ def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
 
 
 def lines_near(curve: FloatArray, i: int) -> slice:
-    """Return the slice of lines around the peak at line i, down to `_NEAR` of its height.
+    """Return the slice of lines around the peak at line i on which the curve exceeds `_NEAR` of the peak's height.
 
-    It has at most `_MOST_LINES` and, if possible, at least three lines on each side.
+    The slice has at most `_MOST_LINES` and, if possible, at least three lines on each side.
     """
     ends = []
     for side in (curve[i::-1], curve[i:]):
@@ -259,9 +262,10 @@ def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
 
 
 def _half_power(omega: FloatArray, height: FloatArray) -> float:
-    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r), where the height is 1/√2 of its peak at ω_1 and ω_2.
+    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r), where ω_1 and ω_2 are the half-power points.
 
-    The result is NaN if the lines do not reach down to this height on both sides.
+    There the height is 1/√2 of its peak, which is at ω_r. The result is NaN if the height does not fall that far
+    on both sides.
     """
     i = int(np.argmax(height))
     level = height[i] / np.sqrt(2.0)

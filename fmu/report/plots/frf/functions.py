@@ -1,4 +1,4 @@
-"""Plots of frequency response functions: measured, predicted, and the difference in standard deviations."""
+"""Plots of frequency response functions: measured, predicted, and their difference in standard deviations."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LEAST = 1e-9
 
 
 class Curve(NamedTuple):
-    """A predicted FRF's amplitude or phase, with its band, each (n_lines,); NaN where not predicted."""
+    """A predicted FRF's amplitude or phase, with its band, each (n_lines,); NaN at lines without a prediction."""
 
     low: FloatArray
     middle: FloatArray
@@ -77,7 +77,7 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
     trace : xarray.DataTree
         A trace with the group ``frfs``.
     frf : str, optional
-        The response and the drive, such as ``"tip z / root y"``; by default those of the first function.
+        The response and the drive, such as ``"tip z / root y"``. Defaults to the first function.
     figure : Figure, optional
 
     Returns
@@ -240,7 +240,7 @@ def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
 
 
 def _chosen_lines(measured: FloatArray) -> IntArray:
-    """Return the indices of at most about `_MOST_LINES` lines: the smallest and largest amplitude per interval."""
+    """Return the indices of at most about `_MOST_LINES` lines: each interval's smallest and largest amplitude."""
     n = len(measured)
     if n <= _MOST_LINES:
         return np.arange(n)
