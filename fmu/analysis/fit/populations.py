@@ -1,4 +1,4 @@
-"""Checks of each parameter's law, that is how its values in different tests are related.
+"""Checks of each parameter's law, which relates its values in different tests.
 
 A test's score in a population is the distance of its value from the population mean, in population standard
 deviations. If the model is correct, the scores are independent standard normal draws, whatever the order of the
