@@ -12,11 +12,11 @@ from fmu.types import FloatArray
 
 
 class Approximation(ModalModel):
-    """A cheap model that replaces a true model, which is too slow to be solved often.
+    """A cheap model used in place of a true model that is too slow to solve often.
 
     There are two kinds. Gaussian processes (`fmu.fem.surrogate.surrogate_model.SurrogateModel`) predict
-    everywhere; the reduced basis of a structure (`fmu.fem.reduced.reduced_structure.ReducedStructure`) is valid in
-    a parameter box. Only the number of solves of the true model changes during use.
+    everywhere; a structure's reduced basis (`fmu.fem.reduced.reduced_structure.ReducedStructure`) is valid in
+    a parameter box. The object never changes during use, except that it counts the true model's solves.
 
     Parameters
     ----------
@@ -24,13 +24,13 @@ class Approximation(ModalModel):
     cheap : ModalModel
         A model with the same parameters and modes.
     certificate : Certificate, optional
-        Errors of the cheap model where the posterior has its mass, if they are known before a run
+        The cheap model's errors in the region of high posterior probability, if they are known before a run
         (`fmu.fem.certificates.SurrogateCertificate`).
 
     Attributes
     ----------
     full_solves : int
-        Number of solves of the true model.
+        Number of times the true model was solved.
     """
 
     def __init__(self, truth: ModalModel, cheap: ModalModel, certificate: Certificate | None = None) -> None:
@@ -50,7 +50,7 @@ class Approximation(ModalModel):
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """First failures of the true model, each with its theta and reason."""
+        """The first failures of the true model, each with its theta and reason."""
         return self._truth.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -62,9 +62,9 @@ class Approximation(ModalModel):
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
+        """Return predicted frequencies and sensor shapes, with variances if the cheap model is uncertain."""
         return self.cheap.observed(theta, gradient)
 
     def configuration(self) -> dict[str, object]:
-        """Return data that identify the true model and the cheap model, as plain Python types."""
+        """Return the data that identify the true and the cheap model, as plain Python types."""
         return {"surrogate of": self._truth.configuration(), **self.cheap.configuration()}

@@ -45,7 +45,10 @@ from fmu.types import Dof, FloatArray
 
 
 def solves_of_a_surrogate(n_parameters: int) -> int:
-    """Return the default limit on a surrogate's solves, which also limits a search with a slow function."""
+    """Return the default limit on the solves for building a surrogate.
+
+    It also limits a maximum search if the function is slow.
+    """
     return 100 + 50 * n_parameters
 
 
@@ -122,7 +125,7 @@ class BlackBoxModel:
         return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True for every sensor (place, direction): only the function knows where its shapes are."""
+        """Return True for every sensor (place, direction), because only the function knows its sensors."""
         return True
 
     def at_sensors(self, sensors: Sequence[Dof]) -> BlackBoxModel:
@@ -136,15 +139,18 @@ class BlackBoxModel:
 
     @property
     def reasons(self) -> list[Failure]:
-        """First failures of the function, each with its theta and reason."""
+        """The first failures of the function, each with its theta and reason."""
         return self.solved.reasons
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return how long a call at theta (n_parameters,) takes, in seconds; see `Solves.seconds_at`."""
+        """Return the duration of a call at theta (n_parameters,), in seconds; see `Solves.seconds_at`."""
         return self.solved.seconds_at(theta)
 
     def solve(self, theta: FloatArray) -> Solve:
-        """Return the solve at theta (n_parameters,), from memory, from the store or by calling the function."""
+        """Return the solve at theta (n_parameters,).
+
+        It comes from memory, from the store, or from calling the function.
+        """
         return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
@@ -153,10 +159,11 @@ class BlackBoxModel:
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[BlackBoxModel]:
-        """In a ``with`` block, let an engine's workers call the function at several theta in parallel.
+        """Within a ``with`` block, let an engine's workers call the function at several theta in parallel.
 
-        Results and failures are the same as in the calling process, in the same order. A theta that crashes its
-        process three times counts as failed. A batched function gets all theta in one call and is not distributed.
+        Results and failures are the same, and in the same order, as without workers. A theta that crashes its
+        process three times counts as failed. A batched function receives all theta in one call, so it is not
+        distributed.
 
         Parameters
         ----------
@@ -172,14 +179,17 @@ class BlackBoxModel:
             yield self
 
     def at(self, theta: FloatArray) -> Answer:
-        """Return the function's result at theta (n_parameters,), the starting point of a problem.
+        """Return the function's result at theta (n_parameters,), which is the problem's starting point.
 
-        See `Solves.at_start` for the errors raised and the warnings given.
+        See `Solves.at_start` for the errors that it raises and the warnings that it gives.
         """
         return _answer_of(self.solved.at_start(np.asarray(theta, dtype=float)))
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why the solve at theta (n_parameters,) failed, or None if it succeeded or is not in memory."""
+        """Return why the solve at theta (n_parameters,) failed.
+
+        Return None if it succeeded or is not in memory.
+        """
         solve = self.solved.recall(theta)
         return None if solve is None else solve.reason or None
 
@@ -193,7 +203,7 @@ class BlackBoxModel:
         return source_digest(self.function)
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
-        """Return a copy of the model with shapes at other sensors, and without any solves."""
+        """Return a copy of the model for shapes at other sensors. The copy has no solves in memory."""
         changed = copy(self)
         changed.sensors = sensors
         changed.function = changed._describe_run()
@@ -207,7 +217,10 @@ class BlackBoxModel:
         return Solves(self.function, self.n_parameters, batched=self.batched, store=self._store())
 
     def _store(self) -> SolveStore | None:
-        """Return the store for solves, named after everything that they depend on, or None without a folder."""
+        """Return the store for solves, or None if no folder is given.
+
+        Its name contains a hash of everything that affects the function's results.
+        """
         if self._folder is None:
             return None
         key = self.configuration() | {"step": None, "batched": None, "sensors": self.sensors}

@@ -1,4 +1,4 @@
-"""Certificates: records of how large a cheap model's errors are, compared with their tolerances."""
+"""Certificates: records of a cheap model's errors and of the largest errors allowed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Certificate(ABC):
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
-        """Return the certificate stored in a trace's attributes, or None if there is none of this kind."""
+        """Return the certificate stored in a trace's attributes, or None if it has none of this class."""
         found: dict[str, Any] = {}
         for field in fields(cls):
             key = cls._key(field.name)
@@ -46,7 +46,7 @@ class Certificate(ABC):
         return cls(**found)
 
     def attributes(self) -> dict[str, object]:
-        """Return trace attributes that store the certificate."""
+        """Return the trace attributes that store the certificate."""
         return {self._key(name): value for name, value in asdict(self).items() if value is not None}
 
     @classmethod

@@ -1,7 +1,7 @@
-"""Classical reductions of one stiffness and one mass matrix: Guyan and Craig–Bampton.
+"""Classical reductions of a stiffness and a mass matrix: Guyan and Craig–Bampton.
 
-Both are Ritz approximations K_r = Tᵀ K T, M_r = Tᵀ M T, so that the reduced frequencies are above the exact
-frequencies. Both reduce a single K and M; for a model that is solved at many theta, the basis of
+Both are Ritz approximations K_r = Tᵀ K T, M_r = Tᵀ M T, so the reduced frequencies are never below the exact
+ones. Both reduce a single pair K, M. For a model that is solved at many theta, the basis in
 `fmu.fem.reduced.basis` is smaller and certified.
 """
 
@@ -43,7 +43,7 @@ class Reduction:
     retained: IntArray
 
     def eigen(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest eigenvalues (count,) in (rad/s)², and the whole structure's shapes (n_dof, count)."""
+        """Return the lowest eigenvalues (count,) in (rad/s)², and the full mode shapes (n_dof, count)."""
         lam, q = eigen(sp.csr_array(self.K), sp.csr_array(self.M), count)
         return lam, self.basis @ q
 
@@ -52,9 +52,9 @@ class Reduction:
 def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     """Condense K and M statically onto master degrees of freedom (Guyan 1965).
 
-    The slaves, all other degrees of freedom, are in static equilibrium. The basis is T = [I; −K_ss⁻¹ K_sm]. The
-    reduction is exact at zero frequency. Its error grows with ω² divided by the lowest eigenvalue of the structure
-    with its masters fixed.
+    All other degrees of freedom, the slaves, are in static equilibrium, so the basis is T = [I; −K_ss⁻¹ K_sm]. The
+    reduction is exact at zero frequency. Its error grows with ω²/λ_1, where λ_1 is the lowest eigenvalue of the
+    structure with its masters fixed.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     """Reduce K and M by the Craig–Bampton method (Craig & Bampton 1968).
 
     The boundary separates the interior (all other degrees of freedom) into substructures. The basis consists of
-    one constraint mode per boundary degree of freedom, and the lowest `n_modes` fixed-interface modes of finite
-    frequency per substructure.
+    one constraint mode per boundary degree of freedom and, for each substructure, its lowest `n_modes`
+    fixed-interface modes with finite frequency.
 
     Parameters
     ----------
@@ -91,7 +91,8 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     boundary : array_like of int
         Indices of the boundary degrees of freedom.
     n_modes : int
-        Number of fixed-interface modes for each substructure (all if it has fewer); 0 gives `guyan`.
+        Number of fixed-interface modes for each substructure; a substructure with fewer modes uses all of them.
+        0 gives `guyan`.
 
     Returns
     -------
@@ -123,7 +124,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
 
 
 def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, ...]:
-    """Return the interior degrees of freedom in each part that the boundary cuts off, one index array per part."""
+    """Return one index array per substructure: the interior degrees of freedom that the boundary cuts off."""
     interior = np.setdiff1d(np.arange(K.shape[0]), np.asarray(boundary, dtype=np.int64))
     pattern = sp.csr_array(abs(K) + abs(M))[interior][:, interior]
     count, label = connected_components(pattern, directed=False)
@@ -133,8 +134,8 @@ def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, 
 def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tuple[bool, ...]:
     """Return, for each substructure, whether its Craig–Bampton modes at `theta` are valid at every theta.
 
-    The modes are the same if a single coefficient scales the stiffness of the substructure's interior and of its
-    connection to the boundary. In addition, no parameter may change the interior's mass.
+    They are if a single coefficient scales the stiffness of the substructure's interior and of its connection to
+    the boundary, and no parameter changes the interior's mass.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Entries of exported matrices, their changes from one export to another, and their number of digits."""
+"""Entries of exported matrices: how they change between exports, and how many digits they have."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Entries:
 
     @classmethod
     def of(cls, matrices: Sequence[sp.csr_array], dofs: Sequence[tuple[Hashable, str]]) -> Entries:
-        """Collect the entries of several matrices, one per export, on the same degrees of freedom."""
+        """Collect the entries of several matrices with the same degrees of freedom, one matrix per export."""
         n = len(dofs)
         upper = [sp.coo_array(sp.triu(matrix)) for matrix in matrices]
         keys = [half.row.astype(np.int64) * n + half.col for half in upper]
@@ -50,13 +50,13 @@ class Entries:
         return max(ROUNDING, 0.5 * 10.0 ** (1 - self.digits))
 
     def changed_between(self, first: int, others: Sequence[int]) -> BoolArray:
-        """Return a mask (n,) of entries that differ by more than rounding between export `first` and any other."""
+        """Return a mask (n,) of entries that change by more than rounding from export `first` to any other."""
         away = np.abs(self.entry[others] - self.entry[first])
         large = np.maximum(np.abs(self.entry[others]), np.abs(self.entry[first]))
         return np.asarray(np.any(away > SAFETY * np.maximum(self.noise * large, ROUNDING), axis=0))
 
     def place(self, at: int) -> str:
-        """Return a phrase that names the degrees of freedom of entry `at`."""
+        """Return a phrase that names the two degrees of freedom of entry number `at`."""
         row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
         return f"node {row}" if row == column else f"node {row}, node {column}"
 
@@ -64,7 +64,7 @@ class Entries:
         return int(self.row[at]), int(self.column[at])
 
     def matrix(self, entry: FloatArray) -> sp.csr_array:
-        """Return the symmetric matrix with the scaled entries `entry` (n,), undoing the scaling."""
+        """Return the symmetric matrix with scaled entries `entry` (n,), with the scaling undone."""
         keep = entry != 0
         row, column, data = self.row[keep], self.column[keep], (entry * self.scale)[keep]
         off = row != column
@@ -78,9 +78,10 @@ class Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return how many significant decimal digits the numbers have, or 17 if decimals do not reproduce them.
+    """Return the number of significant decimal digits, or 17 if decimals do not reproduce the numbers.
 
-    No program writes matrices with fewer than `_FEWEST_DIGITS` digits: numbers with fewer digits are exact.
+    No program writes matrices with fewer than `_FEWEST_DIGITS` digits, so numbers that need fewer are taken as
+    exact.
     """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // MOST_SAMPLED, 1)]

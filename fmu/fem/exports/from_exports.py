@@ -39,16 +39,17 @@ _SAME_MOTION = 1e-6
 def from_exports(
     exports: Sequence[Export], bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> SeparableModel:
-    """Recover a structure as a function of its parameters, from matrices exported at several values.
+    """Recover a structure as a function of its parameters, from matrices exported at several parameter values.
 
     Parameters
     ----------
     exports : sequence of Export
-        The first export gives all parameters, in the order of theta. Each parameter must be changed alone in at
-        least one other export that is not a check. An export with ``check=True`` in which all parameters are
-        changed shows whether the powers are right.
+        The first export gives all parameters, in the order of theta. For each parameter, at least one other export
+        that is not a check must change this parameter alone. An export with ``check=True`` that changes all
+        parameters shows whether the powers are right.
     bounds : mapping of str to (float, float), optional
-        Parameter bounds, for the rounding error. Defaults to half and twice the values in the first export.
+        Parameter bounds, used to bound the rounding error. Defaults to half and twice the values in the first
+        export.
 
     Returns
     -------
@@ -97,11 +98,12 @@ def from_exports(
 
 
 def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> list[str]:
-    """Return a list with a sentence if the exported stiffness has too few digits for the lowest frequency.
+    """Return a warning, as a list, if the stiffness has too few digits for an accurate lowest frequency.
 
-    The list is empty if the digits suffice at theta. Errors e_ij of the entries, independent and uniform, change λ
-    by φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative
-    to f, where r bounds |e_ij / K_ij|.
+    The list is empty if there are enough digits.
+
+    With independent, uniform entry errors e_ij, λ changes by φᵀ e φ / φᵀ M φ. Relative to f, the change has the
+    standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
     """
     K, M = model.K(theta), model.M(theta)
     try:
@@ -149,7 +151,7 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Raise ArgumentError if an export differs from the first in its degrees of freedom or motions."""
+    """Raise ArgumentError if an export's degrees of freedom or motions differ from those in the first export."""
     first = exports[0].model.dofs
     motions = exports[0].model.motions
     for i, one in enumerate(exports):
@@ -174,9 +176,9 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
 
 
 def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:
-    """Return, for each parameter, the exports in which it is the only one that differs from the first export.
+    """Return, for each parameter, the exports in which no other parameter differs from the first export.
 
-    Raises ArgumentError if a parameter has no such export.
+    Raise ArgumentError if a parameter has no such export.
     """
     differs = values != values[0]
     found = []

@@ -104,7 +104,7 @@ class Recovery:
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Parameter values of the exports, and the accuracy of the entries.
+    """Parameter values in each export, and how accurate the matrix entries are.
 
     Attributes
     ----------
@@ -185,13 +185,13 @@ class _Fit:
     of_exports: FloatArray  # (n_exports, n_terms)
 
     def amplification(self, X: FloatArray) -> FloatArray:
-        """Return by how much export errors are amplified at points with monomials X (n, n_terms), shape (n,)."""
+        """Return the factors (n,) by which export errors are amplified at points with monomials X (n, n_terms)."""
         return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
 
     def solve(self, entry: FloatArray) -> FloatArray:
-        """Return the coefficients (n_terms, n) for entries (n_exports, n), with negligible ones set to zero.
+        """Return coefficients (n_terms, n) for entries (n_exports, n), with negligible coefficients set to zero.
 
-        A small coefficient stays if the exports used would otherwise no longer be reproduced.
+        A small coefficient is not set to zero if the exports used could then no longer be reproduced.
         """
         used, noise = self.points.used, self.points.noise
         found = self.inverse @ entry[used]
@@ -201,11 +201,11 @@ class _Fit:
         return np.where(np.any(self.missed_by(kept, entry)[used] > allowed, axis=0), found, kept)
 
     def compute_errors(self, entry: FloatArray) -> FloatArray:
-        """Return the error of each entry in each export, shape (n_exports, n)."""
+        """Return the error of this fit for each entry in each export, shape (n_exports, n)."""
         return self.missed_by(self.inverse @ entry[self.points.used], entry)
 
     def missed_by(self, coefficients: FloatArray, entry: FloatArray) -> FloatArray:
-        """Return the error of each entry in each export, (n_exports, n), for coefficients (n_terms, n)."""
+        """Return the errors (n_exports, n) that coefficients (n_terms, n) leave in entries (n_exports, n)."""
         return np.asarray(np.abs(entry - self.of_exports @ coefficients))
 
     def reproduces(self, entry: FloatArray, which: BoolArray | slice = slice(None)) -> bool:
@@ -230,12 +230,12 @@ def recover(
     changed: BoolArray,
     bounds: FloatArray,
 ) -> Recovery:
-    """Recover one matrix as a sum of terms; `changed` (n_parameters, n) marks the entries that parameters change.
+    """Recover one matrix as a sum of terms; `changed` (n_parameters, n) marks what each parameter changes.
 
     Entries changed by the same parameters have the same terms. If two parameters change neighbouring elements, the
-    entries at their common nodes have the terms of both, which are known by then. The two changes may cancel in
-    such an entry. It may therefore depend on every parameter that changes the diagonal entries of both its row and
-    its column, where nothing cancels.
+    entries at their common nodes have the terms of both parameters. These terms are known by then. The two changes
+    may cancel in such an entry. So the entry is assumed to depend on every parameter that changes the diagonal
+    entries of both its row and its column, because changes never cancel on the diagonal.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))
@@ -280,7 +280,7 @@ def recover(
 
 
 def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ...]]:
-    """Return the sets of `size` terms, simplest first, as many as may be tried."""
+    """Return the sets of `size` terms, simplest first, up to the number of sets that may be tried."""
     some = islice(combinations(choices, size), 10 * _MOST_TRIED)
     return sorted(some, key=lambda one: sum(map(_complexity, one)))
 
@@ -300,10 +300,10 @@ def _refusal(
     entries: Entries,
     own: IntArray,
 ) -> ArgumentError:
-    """Return the error for a group of parameters whose effects no terms reproduce.
+    """Return the error to raise if no terms reproduce the effects of a group of parameters.
 
-    It names the entries that are missed most by the terms that suit most entries best. If no set of terms can be
-    fitted, it says which further exports are needed.
+    Its message names the entries with the largest errors under the terms that fit most entries best. If no set of
+    terms can be fitted, it says which further exports are needed.
     """
     best, least = None, np.inf
     sample = entries.entry[:, own[:: max(len(own) // MOST_SAMPLED, 1)]]
@@ -328,7 +328,7 @@ def _refusal(
 
 
 def _worst(fit: _Fit, exports: Sequence[Export], entries: Entries, own: IntArray) -> str:
-    """Return a phrase that names the entries with the largest errors, and the export that contains them."""
+    """Return a phrase that names the entries with the largest errors, and the export in which they occur."""
     error = fit.compute_errors(entries.entry[:, own])
     at = int(np.argmax(error.max(axis=1)))
     worst = np.argsort(error[at])[::-1][:TOLD]

@@ -198,7 +198,7 @@ class PointMass:
     """Directions by which an inertia may be named."""
 
     def value(self, direction: str) -> float:
-        """Return the mass (kg) or moment of inertia (kg·m²) that resists acceleration in one of `DIRECTIONS`."""
+        """Return the mass (kg), or the moment of inertia (kg·m²) about an axis, for one of `DIRECTIONS`."""
         return self.inertia[DIRECTIONS.index(direction) - 3] if direction.startswith("r") else self.mass
 
 
@@ -270,7 +270,7 @@ class JointSpring:
         return self.stiffness[direction]
 
     def elongation(self, direction: str, nodes: FloatArray) -> dict[int, float]:
-        """Return the elongation in a direction as weights on the degrees of freedom 6 · node + 0 … 5.
+        """Return the elongation in a direction, as weights keyed by degree of freedom 6 · node + 0 … 5.
 
         Parameters
         ----------

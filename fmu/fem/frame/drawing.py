@@ -86,14 +86,14 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
 
 
 def is_drawable(model: SeparableModel, most: int) -> bool:
-    """Return True if a model can be plotted with at most `most` lines."""
+    """Return True if the model has something to plot that takes at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines
     return lines is not None and len(lines) <= most
 
 
 def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
-    """Return the sketch of a `LinePicture`: its lines, and the sensors at points of the same name."""
+    """Return the sketch of a `LinePicture`: its lines, and each sensor at the point with the same name."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
@@ -170,13 +170,13 @@ def without_sensors(structure: Sketch) -> Sketch:
 
 
 def element_colours(changed: BoolArray) -> list[str]:
-    """Return the colour of each element, which is the colour of the first parameter that changes it."""
+    """Return the colour of each element: the colour of the first parameter that changes it."""
     first = [int(np.argmax(row)) if row.any() else None for row in changed]
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
 def parameter_colours(structure: Sketch) -> list[str | None]:
-    """Return the colour of the elements or springs that each parameter changes, or None if it changes none."""
+    """Return, for each parameter, the colour of the elements or springs it changes, or None if it changes none."""
     colours = element_colours(structure.changed)
     return [
         colours[int(np.argmax(column))]
@@ -191,10 +191,10 @@ def parameter_colours(structure: Sketch) -> list[str | None]:
 def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
-    An element with two free ends is changed by a parameter if a term with that parameter couples the ends. An
-    element with a fixed end is changed if the forces of the term at the other end are not in equilibrium under a
-    rigid translation of the structure. For this kind of element, mass terms count only for parameters that change
-    no stiffness.
+    If both ends of an element are free, a parameter changes it if a term with that parameter couples the ends. If
+    one end is fixed, a parameter changes it if, under a rigid translation of the structure, the term's forces at
+    the free end are not in equilibrium. For an element with a fixed end, mass terms count only for parameters that
+    change no stiffness.
 
     Raises
     ------
@@ -243,7 +243,10 @@ def _geometry(model: SeparableModel) -> Geometry:
 
 
 def _view(nodes: FloatArray) -> FloatArray:
-    """Return the axes of the plot, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
+    """Return the two axes of the plot, shape (2, 3).
+
+    A plane structure is viewed face-on, any other from a corner.
+    """
     extent = np.ptp(nodes, axis=0)
     is_flat = extent <= _FLAT * extent.max()
     if is_flat[1] or is_flat.sum() == 2:
@@ -256,7 +259,10 @@ def _view(nodes: FloatArray) -> FloatArray:
 
 
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return the function that maps points (n, 2) to plot coordinates, y upwards, so that all `points` fit."""
+    """Return a function that maps points (n, 2), y upwards, to plot coordinates.
+
+    The plot contains all `points`.
+    """
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     room = np.array([WIDTH, _HEIGHT]) - 2.0 * _MARGIN
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
@@ -270,9 +276,9 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _find_supports(model: SeparableModel) -> list[int]:
-    """Return the rows of element nodes that lack a direction of motion which other nodes have.
+    """Return the rows of the element nodes that cannot move in some direction in which other nodes can.
 
-    Rotations in another program's mesh do not count, because its nodes may lack rotations without being fixed.
+    Rotations are ignored in a mesh from another program, because its nodes may lack rotations without being fixed.
     """
     geometry = _geometry(model)
     free: dict[int, set[str]] = {}
@@ -284,7 +290,7 @@ def _find_supports(model: SeparableModel) -> list[int]:
 
 
 def _lines(ends: FloatArray, colours: Sequence[str]) -> list[str]:
-    """Return SVG elements for lines (n, 2, 2): one per line, or one path per colour if there are many lines."""
+    """Return SVG elements for lines (n, 2, 2): one per line or, if there are many, one path per colour."""
     if len(ends) <= _MOST_LINES:
         return [_line(a, b, colour, 4) for (a, b), colour in zip(ends, colours, strict=True)]
     parts: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""Frames of beam elements: assembles nodes, element groups, supports, masses and springs into a SeparableModel."""
+"""Frames of beam elements: assemble nodes, element groups, supports, masses and springs into a SeparableModel."""
 
 from __future__ import annotations
 
@@ -196,13 +196,13 @@ def _assemble(matrices: FloatArray, ends: IntArray, n_nodes: int) -> sp.csr_arra
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """Numbering of the free degrees of freedom in a frame that has six per node.
+    """Numbers of a frame's free degrees of freedom; the frame has six degrees of freedom per node.
 
     Attributes
     ----------
     owner : ndarray of int, shape (6 n_nodes,)
         For each degree of freedom 6 · node + 0 … 5, the index of the degree of freedom that represents it: its
-        own, or the one that it is tied to.
+        own index, or the index of the degree of freedom to which it is tied.
     free : ndarray of int
         Indices of the degrees of freedom that represent themselves and have no support, ascending.
     """
@@ -248,12 +248,12 @@ class Numbering:
 
     @property
     def ties(self) -> dict[Dof, Dof]:
-        """The free degree of freedom that each tied degree of freedom follows."""
+        """The free degree of freedom that each tied degree of freedom follows, keyed by the tied one."""
         tied = np.flatnonzero((self.owner != np.arange(len(self.owner))) & np.isin(self.owner, self.free))
         return {_name(i): _name(j) for i, j in zip(tied.tolist(), self.owner[tied].tolist(), strict=True)}
 
     def restrict(self, matrix: sp.csr_array) -> sp.csr_array:
-        """Reduce a matrix (6 n_nodes, 6 n_nodes) to the free degrees of freedom, merging tied ones."""
+        """Reduce a matrix (6 n_nodes, 6 n_nodes) to the free degrees of freedom, with tied ones merged."""
         n = len(self.owner)
         if np.any(self.owner != np.arange(n)):
             T = sp.csr_array((np.ones(n), (np.arange(n), self.owner)), shape=(n, n))

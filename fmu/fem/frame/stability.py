@@ -1,4 +1,4 @@
-"""Stability checks for a structure: its strain-free motions, and the mass that they move."""
+"""Stability checks for a structure: its strain-free motions, and the mass that moves in them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SHOWN = 4
 
 
 class MechanismError(ValueError):
-    """Raised when a structure has more strain-free motions than intended."""
+    """Raised when a structure has strain-free motions that are not intended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +42,9 @@ class FreeMotions:
     ----------
     shapes : ndarray, shape (n_dof, n)
         Basis of the strain-free motions, m and rad.
-    rigid : ndarray, shape (6, r)
-        Rigid-body motions of the whole structure that have no strain energy: translation, m, and rotation, rad,
-        about the centre of the nodes. None if the model has no geometry.
+    rigid : ndarray, shape (6, r), or None
+        Strain-free rigid-body motions of the whole structure: translation, m, and rotation, rad, about the centre
+        of the nodes. None if the model has no geometry.
     negative : ndarray, shape (n_dof, n_negative)
         Motions with negative strain energy, which no real structure has.
     """
@@ -81,9 +81,9 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
 def _lowest_motions(
     model: SeparableModel, matrix: sp.csr_array, theta: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the motions with zero and with negative energy xᵀ A x for a symmetric A, each (n_dof, n).
+    """Return the motions with zero and with negative energy xᵀ A x of a symmetric matrix A, each (n_dof, n).
 
-    If the matrix is K at `theta` (n_parameters,), the factors of large blocks are stored for the first solve.
+    If A is K at `theta` (n_parameters,), the factorisations of large blocks are stored for the first solve.
     """
     zero, negative = ([np.zeros((model.n_dof, 0))] for _ in range(2))
     for dofs in model.blocks:
@@ -110,16 +110,16 @@ def require_stable(
     theta : array_like, shape (n_parameters,)
         Usually the starting point.
     free : bool
-        Whether the structure is meant to be free: then its rigid-body motions (up to six if the geometry is not
-        known) are allowed.
+        True if the structure is meant to be free. Its rigid-body motions are then allowed; if the geometry is not
+        known, up to six strain-free motions are.
     label : callable
         Returns a node's name.
 
     Raises
     ------
     ValueError
-        The message states the number of motions and what moves in them, the motion of negative energy, or the
-        place without mass. `MechanismError` for strain-free motions that move mass.
+        The message states how many strain-free motions there are and what moves in them, which motion has negative
+        energy, or where mass is missing. `MechanismError` for strain-free motions that move mass.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)
@@ -145,7 +145,7 @@ def require_stable(
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:
-    """Raise ValueError if a mass is negative or all masses are zero; some degrees of freedom may have no mass."""
+    """Raise ValueError if a mass is negative or all masses are zero. Some degrees of freedom may be massless."""
     M = sp.csr_array(model.M(theta))
     if not np.all(np.isfinite(M.data)):
         raise ValueError("the mass matrix must be finite")
@@ -238,7 +238,7 @@ def what_moves(
     label : callable
         Returns a node's name.
     rigid : ndarray, shape (6, r), optional
-        Rigid-body motions to exclude from the space.
+        Rigid-body motions to remove from that space.
     """
     size = _sizes(model)[:, None]
     Y = np.linalg.qr(size * shapes)[0]
@@ -257,10 +257,10 @@ def what_moves(
 
 
 def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
-    """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and at the fixed directions (_, 6).
+    """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and in the fixed directions (n_fixed, 6).
 
     Rotations are about the centre and scaled by the structure's length. Directions in which no node can move are
-    not part of the model. Returns None if the model has no geometry or has motions that are weighted sums.
+    ignored. Return None if the model has no geometry, or if one of its unknowns is a weighted sum of motions.
     """
     if model.geometry is None:
         return None
@@ -301,7 +301,7 @@ def _null_space(rows: FloatArray) -> FloatArray:
 
 
 def _axes_in_words(vectors: FloatArray) -> list[str]:
-    """Return the directions that vectors (3, k) span: axes by name, other directions by components."""
+    """Return words for the directions that vectors (3, k) span: axis names, or components if oblique."""
     U, s, _ = np.linalg.svd(vectors, full_matrices=False)
     basis = U[:, s > _SAME * s.max(initial=0.0)]
     along = [k for k in range(3) if np.sum(basis[k] ** 2) > 1.0 - 2.0 * _SAME]

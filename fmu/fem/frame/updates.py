@@ -34,7 +34,7 @@ class Factor:
 
 
 class Quantity(NamedTuple):
-    """A value in a frame: a property of a group, mass or spring, by index and, where needed, direction."""
+    """One value in a frame: a property of a group, mass or spring (by index), with a direction if it has one."""
 
     property: str
     number: int
@@ -42,7 +42,7 @@ class Quantity(NamedTuple):
 
 
 class Owner(NamedTuple):
-    """The parameter (by index) that sets or multiplies a quantity, and which of the two it does."""
+    """The index of the parameter that determines a quantity, and whether it sets or multiplies the quantity."""
 
     parameter: int
     factor: bool
@@ -69,7 +69,10 @@ class Ownership:
         return min(owners, default=None)
 
     def coefficient(self, quantities: Iterable[tuple[Quantity, float]]) -> tuple[float, tuple[float, ...]]:
-        """Return the product of quantities, each given with its value, as a constant and parameter powers."""
+        """Return a product of quantities as a constant and a power for each parameter.
+
+        Each quantity is given with its value.
+        """
         scale, powers = 1.0, [0.0] * self.n_parameters
         for quantity, value in quantities:
             owner = self.owner.get(quantity)
@@ -86,7 +89,7 @@ def ownership(
     masses: Sequence[PointMass],
     springs: Sequence[JointSpring],
 ) -> Ownership:
-    """Assign quantities to parameters; see `fmu.Frame.separable`.
+    """Return which parameter sets or multiplies each quantity; see `fmu.Frame.separable` for `updates`.
 
     Raises
     ------

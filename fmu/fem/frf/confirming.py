@@ -1,4 +1,4 @@
-"""Errors of reduced-model FRFs at posterior draws, found with a larger basis and with the full structure."""
+"""Compute the errors of reduced-model FRFs at posterior draws, with a larger basis and with the full structure."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class FRFCertificate:
     draws : int
         Number of draws at which the FRFs were compared with FRFs from an enlarged basis, at every frequency line.
     shift : float
-        Largest distance by which the FRF errors move the posterior, in posterior standard deviations, to first
-        order and in the direction in which it moves most.
+        Largest shift of the posterior that the FRF errors cause, in posterior standard deviations: to first order,
+        in the direction in which the shift is largest.
     lines : int
         Number of lines at which the full structure was solved directly.
     direct_error : float
@@ -93,10 +93,10 @@ class FRFCertificate:
 def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertificate | None:
     """Compute the errors of reduced-model FRFs at n parameter vectors; return None if there is no reduced model.
 
-    The structural parameters have shape (n, p), the damping parameters (n, q). Let r be the errors at all lines in
-    standard deviations, and J the FRF derivatives in the same units. The posterior then moves by the part of r in
-    the column space of J. The direct solves are of (K (1 + iη) − ω² M) x = f with one loss factor, which tests the
-    basis with any kind of damping.
+    `theta` (n, p) are the structural parameters and `values` (n, q) the damping parameters. Let r be the errors at
+    all lines in standard deviations, and J the FRF derivatives in the same units. To first order, the posterior
+    moves by the component of r in the column space of J. The direct solves use (K (1 + iη) − ω² M) x = f with one
+    loss factor, which tests the basis for any kind of damping.
     """
     if model.block.size == model.full.size:
         return None
@@ -121,7 +121,7 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
 
 
 def _direct_error(model: FRFModel, theta: FloatArray, at: FloatArray) -> float:
-    """Return the largest FRF error, found by direct solves at the lines with indices `at`, in the lines' units."""
+    """Return the largest FRF error at the lines with indices `at`, found by direct solves, in each line's unit."""
     omega = model.lines.omega[at]
     damped = model.with_damping(Damping(loss=Source(_LOSS)))
     found = damped.at(theta, np.empty((1, 0))).frfs(omega)[0]

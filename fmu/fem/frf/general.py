@@ -26,7 +26,7 @@ _AGREES = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class GeneralDamping:
-    """Loss factors of stiffness terms, dashpots, and Rayleigh damping, projected onto a reduced basis.
+    """Damping by loss factors of stiffness terms, dashpots and Rayleigh damping, projected onto a reduced basis.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class GeneralResponses:
 
     @staticmethod
     def _solve(K: ComplexArray, C: FloatArray, M: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return the poles (2 r,) and vectors (r, 2 r), or None if they do not reproduce a direct solve."""
+        """Return the poles (2 r,) and eigenvectors (r, 2 r), or None if they do not reproduce a direct solve."""
         r = len(M)
         if not (np.all(np.isfinite(K)) and np.all(np.isfinite(C)) and np.all(np.isfinite(M))):
             return None
@@ -103,7 +103,7 @@ class GeneralResponses:
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return basis coordinates of the motion per unit force at each point, (n, n_points, r, n_lines)."""
+        """Return displacements per unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
         for i, solved in enumerate(self._poles):
@@ -123,13 +123,13 @@ class GeneralResponses:
         return found
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s, and store them for `add`."""
+        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s. They are stored for `add`."""
         self._omega, self._u = omega, self.displacements(omega)
         rows = self._points[self._responses]
         return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
 
     def add(self, weights: ComplexArray) -> None:
-        """Add the lines of the last `frfs` call to the derivatives of a function L; see `ModalResponses.add`."""
+        """Add the lines of the last `frfs` call to the derivatives of a scalar L; see `ModalResponses.add`."""
         one = np.ones(len(self._omega), dtype=complex)
         for power, factor in enumerate((one, 1j * self._omega, -(self._omega**2) * one)):
             for f, (j, k) in enumerate(zip(self._responses, self._drives, strict=True)):

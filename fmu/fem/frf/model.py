@@ -28,7 +28,7 @@ cause."""
 
 @dataclass(frozen=True, eq=False)
 class Damping:
-    """A structure's damping, expressed with its matrices.
+    """A structure's damping, expressed through its matrices.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Damping:
     ratios : tuple of Source
         Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
     losses : dict of int to Source
-        Loss factor of the stiffness that a model parameter scales, by parameter index.
+        Loss factor of the stiffness that a model parameter scales, keyed by the parameter's index.
     dashpots : tuple of (sparse, Source)
         Matrix (n_dof, n_dof) of each dashpot, and its coefficient in N·s/m.
     """
@@ -59,7 +59,7 @@ class Damping:
 
 
 class FRFModel:
-    """Receptances of a structure between points, as functions of its parameters and its damping.
+    """Receptances of a structure between points, as functions of its structural and damping parameters.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ class FRFModel:
     points : ndarray, shape (n_points, block.size)
         The drives and responses projected onto this basis.
     error : float
-        Largest error at points that were not used for the basis: the root of the sum of squared errors at all
-        lines, each in its unit. NaN if the basis has all degrees of freedom.
+        Largest error at points that were not used to build the basis: the root of the summed squared errors at all
+        lines, each error divided by its unit. NaN if the basis has all degrees of freedom.
     is_confirmed : bool
         Whether training ended with errors below the tolerance.
     n_solves : int
@@ -98,7 +98,7 @@ class FRFModel:
     Raises
     ------
     ValueError
-        If a drive or a response sees no free degree of freedom.
+        If a drive or response point involves no free degree of freedom.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class FRFModel:
         self.of_block, self.points = self._damping_of(self.block), self._at_points(self.block)
 
     def _train_once(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> TrainedFRFs:
-        """Return the result of training, from the cache if the same basis was trained before."""
+        """Return the result of training. It comes from the cache if the same basis was trained before."""
         key = self._key(lower, upper, values)
         state = load_basis(key) if key else None
         if state is not None:
@@ -155,7 +155,7 @@ class FRFModel:
         return found
 
     def _key(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> dict[str, str]:
-        """Return the cache key of the basis, or an empty dict without a reduced model."""
+        """Return the basis's cache key, or an empty dict if there is no reduced model."""
         if self.full.size <= EXACT_LIMIT:
             return {}
         lines, given = self.lines, self.damping
@@ -227,7 +227,7 @@ class FRFModel:
 
 
 class _OfBlock:
-    """A model's FRFs computed with another reduced block, at fixed damping parameters; see `training.Bound`."""
+    """A model's FRFs for another reduced block, at fixed damping parameters; see `training.Bound`."""
 
     def __init__(self, model: FRFModel, block: ReducedBlock, values: FloatArray) -> None:
         self._model, self._block, self._values = model, block, values
@@ -238,7 +238,7 @@ class _OfBlock:
         return self._model._respond(self._block, self._damping, self.points, theta, values)
 
     def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
-        """Return the smallest error unit at each line, (n_lines,), of all FRFs that involve a point.
+        """Return, for each line, the smallest error unit of all FRFs that involve a point, shape (n_lines,).
 
         `unit` has shape (n_frfs, n_lines).
         """

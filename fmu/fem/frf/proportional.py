@@ -83,10 +83,10 @@ class ProportionalDamping:
     alpha, beta, loss : Source
         α in 1/s, β in s, and the loss factor η.
     ratios : tuple of Source
-        Damping ratios of the modes in ascending order; the last ratio applies to all higher modes too. Empty if
-        there are none.
+        Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
+        Empty if there are none.
     n_rigid : int
-        Number of rigid-body modes. They come before the mode of the first ratio, and ratios do not damp them.
+        Number of rigid-body modes. They precede the elastic modes, and no ratio damps them.
     """
 
     n_values: int
@@ -97,7 +97,7 @@ class ProportionalDamping:
     n_rigid: int = 0
 
     def _ratio_of(self, r: int) -> IntArray:
-        """Return the index of each mode's damping ratio in `ratios`, shape (r,)."""
+        """Return, for each of the r modes, the index in `ratios` of its damping ratio, shape (r,)."""
         return np.clip(np.arange(r) - self.n_rigid, 0, len(self.ratios) - 1)
 
     def _zeta(self, values: FloatArray, r: int) -> FloatArray:
@@ -106,7 +106,7 @@ class ProportionalDamping:
         return np.concatenate([source.at(values) for source in self.ratios], axis=1)[:, self._ratio_of(r)]
 
     def rates(self, lam: FloatArray, values: FloatArray) -> Rates:
-        """Return the damping of modes with ascending eigenvalues `lam` (n, r), for damping parameters (n, q)."""
+        """Return the modal damping for ascending eigenvalues `lam` (n, r) and damping parameters (n, q)."""
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         beta, loss = self.beta.at(values), self.loss.at(values)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -121,10 +121,7 @@ class ProportionalDamping:
     def pull_back(
         self, lam: FloatArray, values: FloatArray, viscous: FloatArray, hysteretic: FloatArray
     ) -> FloatArray:
-        """Convert derivatives with respect to c_r and h_r, each (n, r), to damping-parameter derivatives.
-
-        The result has shape (n, q).
-        """
+        """Convert derivatives for c_r and h_r, each (n, r), to derivatives for the damping parameters, (n, q)."""
         found = np.zeros(values.shape)
         omega = np.sqrt(np.maximum(lam, 0.0))
         for source, part in (
@@ -161,8 +158,9 @@ class ProportionalDamping:
     def differences(self, lam: FloatArray, values: FloatArray, rates: Rates) -> tuple[FloatArray, FloatArray]:
         """Return the divided differences C_rs of c and E_rs of h between all modes, each of shape (n, r, r).
 
-        Between modes of equal ratio, C is exact however close the eigenvalues are. Modes of different ratios at
-        the same eigenvalue have no divided difference; their ratios are then treated as equal.
+        For two modes with the same ratio, C is exact even if their eigenvalues are almost equal. For two modes
+        with different ratios and equal eigenvalues the divided difference does not exist; they are treated as if
+        their ratios were equal.
         """
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         total = omega[:, :, None] + omega[:, None]
@@ -178,7 +176,7 @@ class ProportionalDamping:
 
 
 class ModalResponses:
-    """FRFs from one reduced block of a structure at n parameter vectors, with their derivatives.
+    """FRFs and their derivatives from one reduced block of a structure, at n parameter vectors.
 
     Parameters
     ----------
@@ -187,7 +185,7 @@ class ModalResponses:
     theta, values : ndarray, shape (n, p) and (n, q)
         Structural and damping parameters.
     points : ndarray, shape (n_points, r)
-        Rows of the drive and response points.
+        Drive and response points projected onto the basis, one row per point.
     responses, drives : ndarray of int, shape (n_frfs,)
         Points of each FRF, as rows of `points`.
     """
@@ -233,19 +231,19 @@ class ModalResponses:
         return stiff, np.negative(lossy, out=lossy)
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s, and store them for `add`."""
+        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s. They are stored for `add`."""
         self._omega, self._g = omega, self._resonances(omega)
         found = np.empty((*self.amplitudes.shape[:2], len(omega)), dtype=complex)
         found.real, found.imag = (self.amplitudes @ part for part in self._g)
         return found
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return basis coordinates of the motion per unit force at each point, (n, n_points, r, n_lines)."""
+        """Return displacements per unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
         x, y = self._resonances(omega)
         return np.asarray(self.phi[:, None] @ (self._seen[..., None] * (x + 1j * y)[:, None]))
 
     def add(self, weights: ComplexArray) -> None:
-        """Add the lines of the last `frfs` call to the derivatives of a function L.
+        """Add the contribution of the lines in the last `frfs` call to the derivatives of a scalar function L.
 
         The weights w = ∂L/∂Re H − i ∂L/∂Im H have shape (n, n_frfs, n_lines), so that dL = Re Σ w dH.
         """
@@ -298,7 +296,7 @@ class ModalResponses:
 
     @staticmethod
     def _split(at: FloatArray, to: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_f sym(φ_jr φ_ks) T_fr over all FRFs f, (n, r, s), and its transpose.
+        """Return Σ_f sym(φ_jr φ_ks) T_fr, summed over all FRFs f, and its transpose, each of shape (n, r, s).
 
         `at` and `to` are the shapes φ at the two points j and k of each FRF.
         """

@@ -1,4 +1,4 @@
-"""Eigenvalues and residues of modes, with derivatives, for FRFs in which modal frequencies are modified.
+"""Eigenvalues and residues of modes with their derivatives, for FRFs whose modal frequencies are modified.
 
 With mass-normalised shapes φ_r, the receptance between the points j and k is H_jk = Σ_r A_r g_r with the residues
 A_r = φ_jr φ_kr (`fmu.fem.frf.proportional`). For changes dK, dM in modal coordinates,
@@ -27,9 +27,10 @@ class Residues:
     Attributes
     ----------
     lam, by_lam : ndarray, shapes (n, r) and (n, r, p)
-        Eigenvalues in ascending order.
+        Eigenvalues in ascending order, and their derivatives.
     amplitudes, by_amplitude : ndarray, shapes (n, n_frfs, r) and (n, n_frfs, r, p)
-        The residues A. Their derivatives omit the mixing of modes whose eigenvalues nearly coincide.
+        Residues A, and their derivatives. The derivatives omit the mixing of modes whose eigenvalues nearly
+        coincide.
     """
 
     lam: FloatArray

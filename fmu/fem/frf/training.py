@@ -1,10 +1,10 @@
-"""Training of a basis for FRFs, with modes and responses at points in the parameter box.
+"""Training of a reduced basis for FRFs, from modes and responses at points in the parameter box.
 
 The basis contains the modes in the frequency band, and the undamped responses to unit forces at all points, at
-some frequencies in the band. These responses contain the contribution of all higher modes, so that no residual
-term is missing. The basis has the responses to forces at both the drives and the response points. The error of an
-FRF is therefore a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
-Partial Differential Equations*, chapter 3).
+some frequencies in the band. These responses include the contribution of all higher modes, so no residual term
+is missing. Forces are applied at both the drive and the response points. The error of an FRF is therefore a
+product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential
+Equations*, chapter 3).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Solved(Protocol):
         ...
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return basis coordinates of the motion per unit force at each point, (n, n_points, r, n_lines)."""
+        """Return displacements per unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
         ...
 
 
@@ -64,7 +64,7 @@ class Bound(Protocol):
         ...
 
     def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
-        """Return the smallest error unit at each line, (n_lines,), of all FRFs that involve a point.
+        """Return, for each line, the smallest error unit of all FRFs that involve a point, shape (n_lines,).
 
         `unit` has shape (n_frfs, n_lines).
         """
@@ -86,7 +86,7 @@ class Lines:
     unit: FloatArray
 
     def error(self, one: ComplexArray, other: ComplexArray) -> FloatArray:
-        """Return the root of the summed squared differences over all FRFs and lines in their units, shape (n,)."""
+        """Return the root of the squared differences summed over FRFs and lines, in their units, shape (n,)."""
         return np.asarray(np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2))))
 
 
@@ -124,9 +124,10 @@ def train(
 
     Notes
     -----
-    At each point, the receptances from the basis are compared with receptances from a basis enlarged by this
-    point's modes and responses. Training ends when `_PASSES` points in succession agree, or after `_MOST_POINTS`.
-    The basis is then truncated to as few leading directions as the errors at these and further points allow.
+    At each training point, the receptances are compared with receptances from a basis enlarged by the modes and
+    responses at that point. Training ends when `_PASSES` successive points agree, or after `_MOST_POINTS` points.
+    The basis is then truncated to the fewest leading directions that meet the tolerance at these and further
+    points.
     """
     centre = 0.5 * (lower + upper)
     if full.size <= EXACT_LIMIT:
@@ -170,13 +171,16 @@ def _reduce(full: FullBlock, V: FloatArray, centre: FloatArray) -> ReducedBlock:
 
 
 def _energy(full: FullBlock, centre: FloatArray, lines: Lines) -> sp.csr_array:
-    """Return K + s M at the centre of the box, with a shift s that is small in the band and makes it definite."""
+    """Return K + s M at the centre of the box.
+
+    The shift s makes it definite, and is small compared with ω² in the band.
+    """
     K, M = sum_at(full.K_terms, centre), sum_at(full.M_terms, centre)
     return sp.csr_array(K + (_SOFT * float(np.min(lines.omega)) ** 2) * M)
 
 
 def _snapshots(full: FullBlock, rows: sp.csr_array, theta: FloatArray, lines: Lines) -> FloatArray:
-    """Return modes in the band and undamped responses at theta (n_parameters,), shape (size, m)."""
+    """Return the modes in the band and the undamped responses at theta (n_parameters,), as columns (size, m)."""
     top, low = float(np.max(lines.omega)), float(np.min(lines.omega))
     count = 8
     while True:
@@ -205,10 +209,11 @@ def _truncate(
     bind: Callable[[ReducedBlock], Bound],
     tolerance: float,
 ) -> ReducedBlock:
-    """Return the block on the fewest directions with errors within the tolerance at the points.
+    """Return the block on the fewest basis directions that meet the tolerance at all `points`.
 
-    The directions come from a proper orthogonal decomposition of the responses at the points, in the energy A. The
-    weights are square roots of the error units, because an FRF error is a product of two response errors.
+    The directions come from a proper orthogonal decomposition of the responses at `points`, in the energy norm of
+    A. The responses are weighted by the square roots of the error units, because an FRF error is a product of two
+    response errors.
     """
     basis = whole.basis
     L = np.linalg.cholesky(basis.T @ (A @ basis))

@@ -74,7 +74,7 @@ class Block:
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest eigenvalues (n, count), (rad/s)², and mass-normalised shapes (n, size, count).
 
-        Both are for theta (n, n_parameters), and are NaN where the solver fails.
+        Both are NaN where the solver fails. `theta` has shape (n, n_parameters).
         """
         raise NotImplementedError
 
@@ -83,7 +83,7 @@ class Block:
         return self.modes(theta, count)[0]
 
     def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return eigenvalue gradients ∂λ/∂θ, (n, m, n_parameters), for modes from `modes`.
+        """Return eigenvalue gradients ∂λ/∂θ, (n, m, n_parameters), for modes computed by `modes`.
 
         ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1, for simple eigenvalues (Fox & Kapoor 1968, eq. 5).
         """
@@ -95,9 +95,9 @@ class Block:
     def eigenvalue_curvature(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, d: FloatArray, slopes: FloatArray | None = None
     ) -> FloatArray:
-        """Differentiate the gradient of each eigenvalue along its own direction d.
+        """Return the derivative of each eigenvalue's gradient along that mode's direction d.
 
-        With the derivatives ∂_d along d, of λ, of φ and of the matrices,
+        Let ∂_d be the derivative along d. Then
 
         ∂_d(∂λ/∂θ_j) = 2 ∂_dφᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ + φᵀ (∂_d∂K/∂θ_j − λ ∂_d∂M/∂θ_j) φ − ∂_dλ φᵀ ∂M/∂θ_j φ.
 
@@ -105,7 +105,7 @@ class Block:
         ----------
         theta : ndarray, shape (n, n_parameters)
         lam, phi : ndarray, shape (n, r) and (n, size, r)
-            The result of `modes` for `n_required` modes with derivatives, or more.
+            The result of `modes` for at least `n_required` modes with derivatives.
         d : ndarray, shape (n, m, n_parameters)
             Directions for the lowest m modes.
         slopes : ndarray, shape (n, size, m, n_parameters), optional
@@ -114,7 +114,7 @@ class Block:
         Returns
         -------
         ndarray, shape (n, m, n_parameters)
-            H_i d_i, with the matrix H_i of second derivatives of λ_i. It does not depend on modes whose
+            H_i d_i, where H_i is the matrix of second derivatives of λ_i. It does not depend on modes whose
             eigenvalues are equal to λ_i (`fmu.fem.modes.derivatives`).
         """
         own, value = phi[:, :, : d.shape[1]], lam[:, : d.shape[1], None]
@@ -227,7 +227,7 @@ class Block:
     def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
         """Return Σ_p left_pᵀ K_k right_p for every term k, or with M_k if `of_mass`, shape (n, n_terms, m).
 
-        `left` and `right` have shape (n, size, m, q), and p counts the q columns.
+        `left` and `right` have shape (n, size, m, q). The sum over p runs over their q last entries.
         """
         raise NotImplementedError
 
@@ -241,7 +241,7 @@ class Block:
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:
-        """Return the block with only the leading share of its reduced basis, or itself if not reduced."""
+        """Return the block with only a leading share of its reduced basis, or itself if it is not reduced."""
         return self
 
     def coordinates(self, rows: sp.csr_array) -> Matrix:
@@ -249,9 +249,10 @@ class Block:
         return rows
 
     def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
-        """Replace rows and reference shapes by fewer rows with the same norms and inner products.
+        """Return fewer sensor rows and reference shapes that give the same norms and inner products.
 
-        `rows` come from `coordinates`. The references returned have shape (_, n_modes).
+        `rows` come from `coordinates`. The reference shapes returned have n_modes columns and one row per new
+        sensor row.
         """
         return rows, reference
 
@@ -268,7 +269,7 @@ class Block:
         return self.compress_rows(self.coordinates(rows), reference)
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return how many modes `seen` must solve for to give `count` modes, with derivatives if `gradient`."""
+        """Return how many modes `seen` must compute to return `count` modes, with derivatives if `gradient`."""
         return count
 
     def seen(
@@ -301,9 +302,9 @@ class Block:
     def _slopes_seen(
         self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of eigenvalues, (n, count, n_parameters), and of shapes at the sensors.
+        """Return the derivatives of eigenvalues, (n, count, n_parameters), and of mode shapes at the sensors.
 
-        The latter have shape (n, n_sensors, count, n_parameters).
+        The derivatives of the shapes have shape (n, n_sensors, count, n_parameters).
         """
         raise NotImplementedError
 

@@ -20,12 +20,12 @@ _TRANSLATIONS = ("x", "y", "z")
 @check_arguments
 @dataclass(frozen=True)
 class Change:
-    """A known change to the structure for one more test.
+    """A known change to the structure for one additional test.
 
     Attributes
     ----------
     masses : mapping of place to float, kg
-        Added point masses; a negative mass was removed.
+        Added point masses; a negative value is a mass that was removed.
     springs : mapping of (place, direction) to float, N/m or N·m/rad
         Added springs to the ground, such as a support.
     """
@@ -40,7 +40,7 @@ def changed_model(
     springs: Mapping[tuple[Any, str], float] | None = None,
     known: Mapping[int, float] | None = None,
 ) -> SeparableModel:
-    """Add masses and springs to a structure, and replace some parameters by known values; return a new model.
+    """Return a new model with masses and springs added, and some parameters replaced by known values.
 
     Parameters
     ----------
@@ -101,12 +101,15 @@ def changed_model(
 
 
 def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
-    """Return size · RᵀR, the matrix of a mass or spring whose motion is given by the rows R."""
+    """Return size · RᵀR, the matrix of a mass or spring of this `size` whose motion is given by the rows R."""
     return sp.csr_array(size * (rows.T @ rows))
 
 
 def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
-    """Return terms that depend only on the parameters `kept`; the others are fixed at `at` (1, n_parameters)."""
+    """Return terms that depend only on the parameters in `kept`.
+
+    All others are fixed at their values in `at` (1, n_parameters).
+    """
     gone = [j for j in range(at.shape[1]) if j not in kept]
     found = []
     for term in terms:

@@ -9,16 +9,16 @@ Kapoor 1968, *AIAA Journal* 6, 2426–2429). Otherwise, or if a singular M leave
 equations form one regular system for ∂φ and ∂λ; Nelson (1976, *AIAA Journal* 14, 1201–1205) solves the same
 equations with one component of ∂φ fixed.
 
-Shapes of repeated eigenvalues have no derivative, because any rotation among these shapes gives modes too. Between
-eigenvalues closer than `REPEATED` the rotation is omitted. Between eigenvalues that are slightly further apart the
-rotation is large, and correctly so: the closer two modes are, the faster their shapes rotate into each other. For
-two eigenvalues λ that differ by δλ the derivatives are of the order of λ/δλ. Their relative error is the rounding
-error times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4 apart, if the highest eigenvalue is below
-about 10⁶ times λ. A basis with a relative error ε in frequency gives shapes with an error of ε divided by the gap.
+Shapes of repeated eigenvalues have no derivative, because any rotation among these shapes also gives modes. If two
+eigenvalues are closer than `REPEATED`, the rotation is omitted. If they are slightly further apart, the rotation
+is large, and correctly so: the closer two modes are, the faster their shapes rotate into each other. If two
+eigenvalues λ differ by δλ, the derivatives are of the order of λ/δλ. Like the shapes, they have a relative error
+of the rounding error times λ_max/δλ: 1e-6 for modes 1e-4 apart, if the highest eigenvalue is below about 10⁶ λ. A
+reduced basis with a relative frequency error ε gives shapes with an error of ε divided by the gap.
 
-Second derivatives of an eigenvalue contain these rotations and are of the order of λ²/δλ. Between eigenvalues
-closer than `CLOSE` the rotation is omitted there, because rounding may exceed it; the steps of samplers are far
-longer than this gap.
+Second derivatives of an eigenvalue contain these rotations and are of the order of λ²/δλ. There the rotation is
+omitted if two eigenvalues are closer than `CLOSE`, because rounding may exceed it. Samplers take far longer steps
+than this gap.
 """
 
 from __future__ import annotations
@@ -88,12 +88,12 @@ def by_bordered_system(
     dK_phi, dM_phi : ndarray, shape (size, n_parameters)
         ∂K φ and ∂M φ.
     beside : ndarray, shape (size, q), optional
-        Shapes of other modes with this eigenvalue. The derivative has no component along them.
+        Shapes of other modes with the same eigenvalue. The derivative has no component along them.
 
     Notes
     -----
-    The derivatives are NaN if the system is singular, as for a repeated eigenvalue without `beside`. They may be
-    infinite if only underflow keeps the system from being singular.
+    The derivatives are NaN if the system is singular, for instance if the eigenvalue is repeated and `beside` is
+    not given. They may be infinite if the system is regular only because of rounding.
     """
     # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
     # system regular. The border is scaled to the size of K, so that all entries have one scale.

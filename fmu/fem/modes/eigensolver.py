@@ -2,16 +2,16 @@
 
 A dense solver that transforms M to the unit matrix has an error of 1e-16 λ_max in every λ. Stiff joints and fine
 meshes can make λ_max 1e16 times as large as λ_1, and λ_1 is then lost completely. Here K is transformed to the
-unit matrix instead, and the largest μ = 1/λ of M φ = μ K φ are computed. The error of each μ is 1e-16 μ_1,
-relative to the lowest mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the other
-degrees of freedom statically.
+unit matrix instead, and the largest μ = 1/λ of M φ = μ K φ are computed. The error of each μ is then 1e-16 μ_1,
+where μ_1 belongs to the lowest mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the
+other degrees of freedom statically.
 
-A free structure has a singular K. Its strain-free motions N, with K N = 0, are found from K alone, from the
-eigenvalues of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
+A free structure has a singular K. Its strain-free motions N, with K N = 0, are computed from K alone, as
+eigenvectors of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
 distinguish a rigid-body motion from the motion of a soft part. The strain energy of a rigid-body motion must also
 be mere rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid-body
-modes. Let P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough of them are fixed to
-make the structure statically determinate. With φ = P [y; 0],
+modes. Let P = I − N Nᵀ M. Fix just enough degrees of freedom to make the structure statically determinate, and let
+f be the remaining ones. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 
@@ -55,10 +55,10 @@ class SingularMassError(ValueError):
 
 
 def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
-    """Factorise a matrix A scaled by `unit_diagonal`; return None unless it is clearly positive definite.
+    """Factorise S = D A D from `unit_diagonal`; return None unless it is clearly positive definite.
 
-    Explicit zeros in a large matrix are removed first: its factors are stored and reused, so they must not depend
-    on how the matrix was summed.
+    Explicit zeros in a large matrix are removed first. Its factors are stored and reused, so they must not depend
+    on the order in which the matrix was summed.
     """
     if sp.issparse(S) and S.shape[0] >= LARGE:
         S = sp.csr_array(S, copy=True)
@@ -128,7 +128,7 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues (count,) and shapes (n, count) for a K scaled to S, with unit diagonal."""
+    """Return the lowest eigenvalues (count,) and shapes (n, count); K is scaled to S, with unit diagonal."""
     if clear is not None:
         factor = clear.scaled
     else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
@@ -143,7 +143,7 @@ def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> 
 
 
 def _is_strained(S: Matrix, X: FloatArray) -> BoolArray:
-    """Return a mask of the motions in X (n, m) whose strain energy exceeds rounding: they are soft, not rigid."""
+    """Return a mask of the motions in X (n, m) that are soft, not rigid: their strain energy exceeds rounding."""
     sizes = np.sum(np.abs(X) * (abs(S) @ np.abs(X)), axis=0)
     return np.asarray(np.sum(X * (S @ X), axis=0) > _STRAINED * 0.5 * np.finfo(float).eps * sizes)
 
@@ -203,7 +203,7 @@ def _start(n: int) -> FloatArray:
 
 
 def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
-    """Factorise S + s M, with a shift s that makes the sum definite although S is not."""
+    """Factorise S + s M, where the shift s makes the sum definite although S is not."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
@@ -222,7 +222,7 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
-    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, highest first, from A's factors."""
+    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, in descending order of μ."""
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
@@ -238,9 +238,9 @@ def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
 
 
 def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count: int) -> FloatArray:
-    """Return the same eigenvectors as `_highest`, by Lanczos iterations with A⁻¹ M.
+    """Return the same eigenvectors as `_highest`, computed by Lanczos iteration with A⁻¹ M.
 
-    The starting vector is fixed, so that results are repeatable.
+    The starting vector is fixed, so that results are reproducible.
     """
     n = M.shape[0]
     with_mass = np.flatnonzero(M.diagonal() > 0.0)
@@ -262,10 +262,10 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count:
 def _polish(
     S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Rayleigh quotients (m,) and mass-normalised vectors (n, m) of the space that X (n, m) spans.
+    """Return Rayleigh quotients (m,) and mass-normalised vectors (n, m) for the span of X's columns (n, m).
 
-    The columns of X start with the lowest mode. The inverse problem gives high modes less accurately; they are
-    replaced by the Ritz vectors of their span.
+    The columns of X are ordered from the lowest mode. The inverse problem is less accurate for the higher modes,
+    so these are replaced by the Ritz vectors of their span.
     """
     lam, X = rayleigh_quotients(S, M, X, elastic)
     if not np.all(np.isfinite(lam)):
@@ -315,7 +315,7 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 def _all_below_zero(
     solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve for ever more of the lowest eigenpairs, up to `most`, until the last eigenvalue is above zero."""
+    """Solve for more and more of the lowest eigenpairs, up to `most`, until the highest of them is above zero."""
     count = min(_AT_ONCE, most)
     lam, vectors = solve(count)
     while lam[-1] < ZERO and count < most:
@@ -328,14 +328,14 @@ def rank(matrix: Matrix) -> int:
     """Return the rank of a positive semidefinite matrix.
 
     The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
-    as in solids with reduced integration, and an iteration that searches for all of them would not end. With a
-    unit diagonal, eigenvalues within ±`NEGATIVE` count as zero, because a matrix exported with few digits has zero
-    eigenvalues only to that accuracy.
+    as in solids with reduced integration, and an iteration that searches for all of them would not end. With the
+    diagonal scaled to one, eigenvalues within ±`NEGATIVE` count as zero, because a matrix exported with few digits
+    has zero eigenvalues only to that accuracy.
 
     Raises
     ------
     SingularMassError
-        If the matrix is negative for some vector.
+        If the quadratic form xᵀ A x is negative for some vector x.
     """
     matrix = _dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix
     diagonal = matrix.diagonal()
@@ -359,7 +359,7 @@ def rank(matrix: Matrix) -> int:
 
 
 def is_semidefinite(matrix: sp.csr_array) -> bool:
-    """Return True if a sparse symmetric matrix has no negative eigenvalue, within the precision of exports."""
+    """Return True if a sparse symmetric matrix has no eigenvalue below zero by more than export rounding."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True
@@ -373,7 +373,7 @@ def is_semidefinite(matrix: sp.csr_array) -> bool:
 
 
 def _is_definite(S: Matrix) -> bool:
-    """Return True if no eigenvalue of a matrix with unit diagonal can be zero."""
+    """Return True if the eigenvalues of a matrix with unit diagonal are all clearly above zero (1e-6)."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
         # consistent mass matrices have eigenvalues of at least 1e-3; a smaller one calls for all the lowest
@@ -383,7 +383,7 @@ def _is_definite(S: Matrix) -> bool:
 
 
 def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the `count` eigenvalues of S nearest to `sigma`, and their vectors; `factor` is of S − sigma I."""
+    """Return the `count` eigenpairs of S nearest to `sigma`; `factor` is the factorised S − sigma I."""
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)

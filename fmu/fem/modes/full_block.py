@@ -72,7 +72,10 @@ class FullBlock(Block):
         self._engine: Engine | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without data that are recomputed or the engine, which a worker lacks."""
+        """Return the state for pickling.
+
+        It omits the engine, which a worker lacks, and data that can be recomputed.
+        """
         kept = {name: value for name, value in self.__dict__.items() if name not in _RECOMPUTED}
         return kept | {"_last": None, "_engine": None}
 
@@ -98,9 +101,10 @@ class FullBlock(Block):
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count), with NaN on failure.
 
         A large block stores its last solve at a single theta, because several quantities are needed at the
-        starting point. A block that no parameter changes is solved only once. From `LARGE` degrees of freedom on,
-        a few extra modes are computed for `at_least`. Within `spread_over`, the engine's workers solve a large
-        block at several theta; no bit of a result depends on the engine or on the other theta.
+        starting point. A block that no parameter changes is solved only once. A block with at least `LARGE`
+        degrees of freedom computes a few extra modes for `at_least`. Within `spread_over`, the engine's workers
+        solve a large block at several theta in parallel. Results are bitwise independent of the engine and of the
+        other theta.
         """
         times = 1
         if self.constant:
@@ -116,7 +120,7 @@ class FullBlock(Block):
         return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
 
     def at_least(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return `modes` at theta (1, n_parameters): `count` modes, or more if the last solve there gave more.
+        """Return `modes` at theta (1, n_parameters): `count` modes, or more if the last solve there computed more.
 
         This can save a solve, but the last digits may depend on earlier solves.
         """
@@ -145,7 +149,7 @@ class FullBlock(Block):
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
-        """In a ``with`` block, do lengthy solves in an engine's workers; the results are the same."""
+        """Within a ``with`` block, let an engine's workers do lengthy solves. The results are the same."""
         before, self._engine = self._engine, engine
         try:
             yield
@@ -155,10 +159,10 @@ class FullBlock(Block):
     def run_tasks[Shared, Task, Result](
         self, work: Work[Shared, Task, Result], shared: Shared, tasks: Iterable[Task], of_factors: int = 0
     ) -> list[Result]:
-        """Run ``work(shared, task, None)`` for each task in the workers of `spread_over`, or in this process.
+        """Run ``work(shared, task, None)`` for each task, in this process or in the workers of `spread_over`.
 
-        The next task is taken from `tasks` only when a worker is free. The number of workers is limited to those
-        that fit in memory.
+        The next task is taken from `tasks` only when a worker is free. No more workers are used than fit in
+        memory.
 
         Parameters
         ----------
@@ -192,7 +196,7 @@ class FullBlock(Block):
         return [found[number] for number in range(len(found))]
 
     def _workers_that_fit(self, engine: Engine, of_factors: int) -> int:
-        """Return how many workers have enough memory for the block and for factors of `of_factors` bytes."""
+        """Return how many workers fit in memory, if each holds the block and factors of `of_factors` bytes."""
         free = engine.free_memory()
         if free is None or self.size < LARGE:
             return engine.workers
@@ -200,7 +204,10 @@ class FullBlock(Block):
         return min(engine.workers, free // (needed + of_factors + 8 * self.size * _VECTORS))
 
     def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and shapes (n, size, count), with one task per theta for a large block."""
+        """Return eigenvalues (n, count) and shapes (n, size, count).
+
+        For a large block, each theta is a separate task.
+        """
         if len(theta) < 2 or self.size <= DENSE_LIMIT:
             return self._solve_each(theta, count)
         kept = None if self._last_factor is None else self._last_factor.factor
@@ -231,9 +238,9 @@ class FullBlock(Block):
     def _solve_together(
         self, theta: FloatArray, has_rank_of_all: BoolArray, lam: FloatArray, phi: FloatArray
     ) -> None:
-        """Solve many small problems as one batch, and write their modes into `lam` and `phi`.
+        """Solve many small eigenproblems in one batch, and write their modes into `lam` and `phi`.
 
-        Rows that the batch cannot solve stay NaN.
+        Rows that cannot be solved in a batch stay NaN.
         """
         maps = zip(self._stacks, (self._K_map, self._M_map), strict=True)
         K, M = (assemble(terms, matrix.coefficients(theta)) for terms, matrix in maps)
@@ -332,7 +339,7 @@ def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> t
 
 
 def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[int, int]:
-    """Return the bytes that a process needs to hold the terms, and to factorise a stiffness as well.
+    """Return the bytes that a process needs to hold the terms, and to factorise a stiffness matrix too.
 
     The factors themselves are not included.
     """
@@ -341,9 +348,9 @@ def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[i
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
-    """Return the rank of M if no term vanishes, which is the number of modes of finite frequency.
+    """Return the rank of M if every term has a nonzero coefficient: the number of modes with a finite frequency.
 
-    Returns None if the sum of the terms is not semidefinite.
+    Return None if the sum of the terms is not semidefinite.
     """
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
@@ -353,7 +360,10 @@ def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
 
 
 def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
-    """Count the nonempty rows, which bound the rank from above even if some terms are matrix differences."""
+    """Return the number of nonempty rows.
+
+    It bounds the rank from above, even if some terms are differences of matrices.
+    """
     return int(np.sum(np.any([np.diff(term.matrix.indptr) > 0 for term in M_terms], axis=0)))
 
 
@@ -362,7 +372,7 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return products ∂K/∂theta_j φ of stiffness derivatives and shapes φ (size, m), (m, size, n_parameters)."""
+    """Return the products ∂K/∂theta_j φ for shapes φ (size, m), as an array (m, size, n_parameters)."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 

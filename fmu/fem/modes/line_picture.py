@@ -42,5 +42,5 @@ class LinePicture:
             raise ValueError(f"lines: must be two points for each row of changed (got {np.shape(self.lines)})")
 
     def of(self, parameters: Sequence[int]) -> LinePicture:
-        """Return the same lines for a subset of the parameters, given by index."""
+        """Return the same lines for a subset of the parameters, given by their indices."""
         return replace(self, changed=self.changed[:, list(parameters)])

@@ -1,4 +1,4 @@
-"""Modes of a structure, merged from the modes of its decoupled blocks, full or reduced."""
+"""Modes of a structure, merged from its decoupled blocks, which may be full or reduced."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def is_rigid(eigenvalues: FloatArray) -> BoolArray:
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
-    """Convert eigenvalues to frequencies √λ / 2π in Hz, or NaN if λ is clearly negative.
+    """Convert eigenvalues to frequencies √λ / 2π in Hz, with NaN if λ is clearly negative.
 
     Parameters
     ----------
     eigenvalue : ndarray, shape (..., m), (rad/s)²
-        Modes of one structure along the last axis. A λ below zero by less than 1e-6 of the largest |λ| of these
+        Modes of one structure along the last axis. A negative λ smaller than 1e-6 of the largest |λ| of these
         modes is a rigid-body mode with rounding, and counts as zero.
     """
     if np.count_nonzero(eigenvalue < 0.0):
@@ -41,7 +41,7 @@ def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
 
 
 def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -> FloatArray:
-    """Return the gradients ∂f/∂θ = ∂λ/∂θ / (8 π² f), which are not finite for a rigid-body mode.
+    """Return the frequency gradients ∂f/∂θ = ∂λ/∂θ / (8 π² f), which are not finite for a rigid-body mode.
 
     Parameters
     ----------
@@ -72,10 +72,10 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def fix_sign(shapes: FloatArray) -> FloatArray:
-    """Flip shapes so that the largest component of each is positive, whatever the solver's sign.
+    """Return the shapes with signs chosen so that each shape's largest component is positive.
 
     If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first one is made
-    positive. Rounding then does not decide the sign.
+    positive. Rounding then does not determine the sign.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class ModalSolution:
 
 
 def count_modes(blocks: Sequence[Block]) -> int:
-    """Return how many modes of finite frequency a structure made of these blocks has."""
+    """Return how many modes with a finite frequency a structure with these blocks has."""
     return sum(block.n_modes for block in blocks)
 
 
@@ -126,8 +126,8 @@ def solve_spectrum(
 ) -> ModalSolution:
     """Return the lowest `count` modes of the whole structure, sorted over all its `blocks`.
 
-    A reduced block gives only the modes that it was trained for. If one of its higher modes might be among the
-    lowest modes at a theta, the row for that theta is NaN. The full model is then needed.
+    A reduced block gives only the modes for which it was trained. If one of its higher modes might be among the
+    lowest modes at a theta, all modes at that theta are NaN. The full model is then needed.
 
     Raises
     ------
@@ -167,8 +167,8 @@ def join_shapes(
 ) -> FloatArray:
     """Return the mass-normalised shapes of modes at one theta (1, n_parameters), shape (n_dof, m).
 
-    All blocks must be full. A shape is zero outside its own block, with the sign given by `fix_sign`. `counts` is
-    the number of modes solved for in each block to find `modes`, if known; the blocks are then not solved again.
+    All blocks must be full. A shape is zero outside its own block. Its sign is set by `fix_sign`. `counts` is the
+    number of modes computed in each block to obtain `modes`; if it is given, the blocks are not solved again.
     """
     block, rank = modes.block[0], modes.rank[0]
     shapes = np.zeros((sum(len(of.dofs) for of in blocks), len(block)))

@@ -91,12 +91,12 @@ class Geometry:
 
     @cached_property
     def drawn(self) -> IntArray:
-        """Rows (m,) of the plotted nodes: all nodes or, for another program's mesh, the line ends."""
+        """Row indices (m,) of plotted nodes: all or, for another program's mesh, only the ends of lines."""
         return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
 
     @cached_property
     def row_of(self) -> dict[Any, int]:
-        """Row in `nodes` of each node, by node name."""
+        """Row in `nodes` of each node, keyed by node name."""
         names = range(len(self.nodes)) if self.ids is None else np.asarray(self.ids).tolist()
         return {name: row for row, name in enumerate(names)}
 
@@ -118,7 +118,7 @@ class RigidArm:
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
-        """Return the point's motion in a direction as weights on the node's motions, to first order: u + θ × r."""
+        """Return the point's motion in a direction as weights on the node's motions: to first order, u + θ × r."""
         x, y, z = self.offset
         return {direction: 1.0} | {
             "x": {"ry": z, "rz": -y},
@@ -214,8 +214,8 @@ class SeparableModel:
         parameters : sequence of str
             Names in the order of theta; the parameters of an `UpdatingProblem` must have the same names.
         stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
-            A matrix alone is constant. A matrix with a name is multiplied by that parameter. A matrix with powers
-            by name is multiplied by the product of these powers of the parameters.
+            A matrix alone is constant. A matrix with a name is multiplied by that parameter. A matrix with a
+            mapping of names to powers is multiplied by the product of the parameters raised to these powers.
         dofs, geometry, motions : optional
             See the class.
 
@@ -273,7 +273,7 @@ class SeparableModel:
         return tuple(np.flatnonzero(label == k) for k in range(count))
 
     def last_factor(self, dofs: IntArray) -> LastFactor:
-        """Return the store for the factors of one block; `dofs` is an entry of `blocks`."""
+        """Return the store for the latest factors of one block; `dofs` is an entry of `blocks`."""
         return self._last_factors.setdefault(int(dofs[0]), LastFactor())
 
     @cached_property
@@ -345,7 +345,10 @@ class SeparableModel:
         return seen
 
     def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
-        """Yield (node row, direction, weights) for each node's motions; weights are keyed by index in `dofs`."""
+        """Yield (node row, direction, weights) for each motion of each node.
+
+        The weights are keyed by index in `dofs`.
+        """
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
             if node in row_of:
@@ -353,18 +356,18 @@ class SeparableModel:
 
     @cached_property
     def dof_of(self) -> dict[Dof, int]:
-        """Index of the degree of freedom for every (node, direction) name, including tied ones."""
+        """Index of the degree of freedom for each (node, direction), including tied ones."""
         index = {name: i for i, name in enumerate(self.dofs)}
         return index | {name: index[other] for name, other in self.ties.items()}
 
 
 def separable_in(model: object) -> SeparableModel | None:
-    """Return the model if it is given by its matrices, or None if it is any other model."""
+    """Return the model if it is given by its matrices, otherwise None."""
     return model if isinstance(model, SeparableModel) else None
 
 
 def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
-    """Return the csr_array (q, n_dof) that selects the degrees of freedom `dofs` (q,) from displacements."""
+    """Return the sparse matrix (q, n_dof) that selects the degrees of freedom `dofs` (q,) from displacements."""
     picked = np.asarray(dofs, dtype=np.int64)
     return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
 

@@ -1,13 +1,13 @@
 """Factorisation of symmetric matrices by four solvers with a common protocol.
 
-LAPACK factorises dense matrices, and definite matrices with a narrow band, as for beams, bridges and
-towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
-in Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), otherwise by SuperLU, which comes with
-SciPy. PARDISO is meant for 10⁵ degrees of freedom and more. From `LARGE` rows on it uses as many threads as
-`n_threads` in `fmu.fem.modes.factors.pardiso` says; the factors are the same, bit for bit, with any number of
-threads. If they would take more than a sixth of the machine's memory, they are computed in single precision, and
-solutions are refined to double precision (`fmu.fem.refinement`). Memory is checked before factors are computed:
-PARDISO factors that do not fit are stored in files, others are refused.
+LAPACK factorises dense matrices, and definite matrices with a narrow band (beams, bridges, towers), for which it
+takes a tenth to a half of a sparse solver's time. Other sparse matrices are factorised by PARDISO in Intel's MKL
+if the extra ``fmu[fast]`` is installed (package pypardiso), otherwise by SuperLU, which comes with SciPy. PARDISO
+is meant for 10⁵ degrees of freedom and more. For matrices with at least `LARGE` rows it uses the number of threads
+given by `n_threads` in `fmu.fem.modes.factors.pardiso`; the factors are bitwise equal for any number of threads.
+If they would take more than a sixth of the machine's memory, they are computed in single precision, and solutions
+are refined to double precision (`fmu.fem.refinement`). Memory is checked before factors are computed. PARDISO
+stores factors that do not fit in files; SuperLU refuses them.
 
 None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
 signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
@@ -43,7 +43,7 @@ class Factor(Protocol):
     negative : int
         Number of eigenvalues of A that are not positive.
     L : ndarray, shape (n, n), or None
-        The lower factor of a dense definite matrix, A = L Lᵀ.
+        The lower factor in A = L Lᵀ if A is dense and definite, otherwise None.
     is_single : bool
         Whether the factors are in single precision. Solutions are in double precision in any case.
     """
@@ -59,7 +59,7 @@ class Factor(Protocol):
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of memory for the factors: PARDISO's own count, or an estimate from the number of entries."""
+        """Bytes of memory for the factors: reported by PARDISO, or estimated from the number of entries."""
         ...
 
     def solve(self, loads: FloatArray) -> FloatArray:
@@ -127,12 +127,14 @@ class ScaledFactor:
 
 
 class LastFactor:
-    """Factors of a block's stiffness at the last theta where they were computed. A copy starts empty.
+    """The factors of a block's stiffness matrix at the last theta for which they were computed.
+
+    A copy starts without factors.
 
     Attributes
     ----------
     factor : ScaledFactor or None
-        The factors, if there are any.
+        The factors, or None if there are none.
     """
 
     def __init__(self) -> None:
@@ -144,7 +146,10 @@ class LastFactor:
         return LastFactor, ()
 
     def at(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
-        """Return the factors at theta (n_parameters,), stored or from `make`, or None if `make` returns None."""
+        """Return the factors stored for theta (n_parameters,), or compute and store them with `make`.
+
+        Return None if `make` returns None.
+        """
         if self._at != theta.tobytes():
             self._at = self.factor = None  # before the next factors take memory
             self.factor = make()
@@ -178,7 +183,7 @@ class DenseFactor:
 
 
 def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
-    """Scale A, dense or sparse, to S = D A D with ones (or zeros) on the diagonal; return S and D's diagonal."""
+    """Scale A, dense or sparse, to S = D A D with a diagonal of ones (or zeros); return S and D's diagonal."""
     diagonal = np.abs(matrix.diagonal())
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     return scale_matrix(matrix, scale), scale

@@ -1,7 +1,7 @@
-"""Modes of many small matrices at once, by NumPy's batched LAPACK.
+"""Modes of many small matrices at once, with NumPy's batched LAPACK.
 
-Every operation treats each matrix separately, elementwise or in one small LAPACK or BLAS call per matrix. No bit
-of a result therefore depends on the rest of the stack.
+Every operation treats each matrix separately, elementwise or in one small LAPACK or BLAS call per matrix. Each
+result is therefore bitwise independent of the rest of the stack.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes of K φ = λ M φ for matrices that are easily solved, with NaN for all others.
+    """Return the lowest modes of K φ = λ M φ for each matrix pair, with NaN for difficult pairs.
 
-    The method is the same as in `fmu.fem.modes.eigensolver`, without its care for free structures, nearly singular
-    K, and modes of very different frequencies.
+    The method is that module's method, but it does not handle free structures, a nearly singular K, or modes with
+    very different frequencies.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray,
 def rayleigh_quotients(
     S: Any, M: Any, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Rayleigh quotients (..., m) and M-orthonormal vectors (..., n, m) of the space that X spans.
+    """Return the Rayleigh quotients (..., m) and M-orthonormal vectors (..., n, m) for the span of X's columns.
 
     `elastic` removes rigid-body motions from vectors. A quotient's relative error is the square of its vector's
     error.
@@ -86,7 +86,7 @@ def rayleigh_quotients(
 
 
 def row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
-    """Call a batched solver; if the batch fails, solve each matrix alone, with NaN on failure."""
+    """Call a batched solver. If the batch fails, solve each matrix alone, and return NaN for those that fail."""
     try:
         return tuple(solve(*matrices))
     except np.linalg.LinAlgError:

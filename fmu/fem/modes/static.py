@@ -34,8 +34,8 @@ def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
 class MassMoments:
     """Mass and centre of gravity of the parts that are free to move along one direction.
 
-    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r) / m(θ), with r the translation along the direction and x the
-    coordinates of the nodes. The sums over nodes are computed once, for each term of M.
+    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r) / m(θ), where r is the translation along the direction and x are
+    the node coordinates. The sums over nodes are computed once, for each term of M.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ class MassMoments:
         self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the mass in kg, and the centre in m if needed, (n, 1 or 4), at theta (n, n_parameters).
+        """Return the mass in kg and, if needed, the centre in m, (n, 1 or 4), at theta (n, n_parameters).
 
-        With `gradient`, also return their derivatives, shape (n, 1 or 4, n_parameters); otherwise None.
+        With `gradient`, also return the derivatives, shape (n, 1 or 4, n_parameters); otherwise None.
         """
         moments = np.einsum("nk,kq->nq", self._map.coefficients(theta), self._sums)
         mass = moments[:, :1]
@@ -147,7 +147,7 @@ class StaticDisplacement:
                 n *= 2
 
     def _project(self, model: SeparableModel, vectors: FloatArray, loads: FloatArray) -> None:
-        """Project the stiffness terms and loads onto an orthonormal basis of `vectors`, largest first."""
+        """Project the stiffness terms and loads onto an orthonormal basis of the columns of `vectors`."""
         weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # for rotations and metres
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
@@ -177,7 +177,7 @@ class StaticDisplacement:
 
 
 def _coordinates(model: SeparableModel) -> FloatArray:
-    """Return the node coordinates for each degree of freedom, (n_dof, 3). Raise ValueError if unknown."""
+    """Return the node coordinates for each degree of freedom, (n_dof, 3). Raise ValueError if a node has none."""
     geometry = model.geometry
     if geometry is None or not all(node in geometry.row_of for node, _ in model.dofs):
         raise ValueError("centre: needs the coordinates of all nodes; give the model a mesh or a geometry")
@@ -185,7 +185,7 @@ def _coordinates(model: SeparableModel) -> FloatArray:
 
 
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
-    """Return K(θ)⁻¹ times the loads (n_dof, 2), with rows and columns of K scaled to a unit diagonal."""
+    """Return K(θ)⁻¹ times `loads` (n_dof, 2). K is first scaled to a unit diagonal."""
     K = sum_at(model.K_terms, theta)
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
     scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()

@@ -79,7 +79,7 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return the monomial Π theta[:, j] ** powers[j], shape (n,), or NaN or infinity where it is undefined.
+    """Return the monomial Π theta[:, j] ** powers[j], shape (n,). It is NaN or infinite where it is undefined.
 
     Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """
@@ -106,7 +106,7 @@ def _power(x: float, power: float) -> float:
 
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Add up the matrices of terms with equal coefficients, and return fewer terms."""
+    """Return fewer terms: terms with equal coefficients are merged by adding their matrices."""
     merged: dict[Powers, sp.csr_array] = {}
     for term in terms:
         merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
@@ -114,7 +114,7 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
-    """Return the sparse sum Σ weights[k] · K_k of the term matrices, which is not finite on overflow."""
+    """Return the sparse sum Σ weights[k] · K_k of the term matrices. Entries that overflow are not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -123,15 +123,15 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
 
 
 def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
-    """Return the sparse sum of `terms` at theta (n_parameters,), with entries that are not finite on overflow."""
+    """Return the sparse sum of `terms` at theta (n_parameters,). Entries that overflow are not finite."""
     return weighted_sum(terms, coefficients(terms, theta[None])[0])
 
 
 class ParametricMatrix:
-    """The matrix Σ_k c_k(θ) K_k: its coefficients with their derivatives, and the sum itself.
+    """The matrix Σ_k c_k(θ) K_k: its coefficients, their derivatives, and the sum itself.
 
-    Coefficients are fast in the common case c_k = θ_j. The sparsity pattern of the sum is found only once, when it
-    is needed, because adding sparse arrays takes longer than solving a small structure.
+    There is a fast path for the common case c_k = θ_j. The sparsity pattern of the sum is determined only once, on
+    demand, because adding sparse arrays takes longer than solving a small structure.
 
     Parameters
     ----------
@@ -148,12 +148,12 @@ class ParametricMatrix:
         self._slopes[self._linear, self._source] = 1.0
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without the sparsity pattern, which is found again on demand."""
+        """Return the state for pickling. It omits the sparsity pattern, which is determined again on demand."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_pattern", "_places")}
 
     @cached_property
     def _pattern(self) -> tuple[IntArray, IntArray, list[tuple[slice | IntArray, FloatArray]]]:
-        """Columns and row pointers of the sum, and for each term the positions of its entries and the entries."""
+        """Columns and row pointers of the sum and, for each term, its entries and their positions in the sum."""
         matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in self.terms]
         for matrix in matrices:
             matrix.sum_duplicates()
@@ -176,7 +176,7 @@ class ParametricMatrix:
         return np.ravel_multi_index((rows, columns), self.terms[0].matrix.shape)
 
     def add_up(self, weights: FloatArray, dense: bool) -> Any:
-        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse, which is not finite on overflow."""
+        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse. Entries that overflow are not finite."""
         columns, pointers, parts = self._pattern
         data = np.zeros(len(columns))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -191,7 +191,7 @@ class ParametricMatrix:
 
     @property
     def is_curved(self) -> bool:
-        """Whether any coefficient has second derivatives, being neither constant nor simply a parameter."""
+        """Whether any coefficient may have second derivatives: it is neither constant nor equal to a parameter."""
         return bool(self._general)
 
     def coefficients(self, theta: FloatArray) -> FloatArray:
@@ -205,7 +205,7 @@ class ParametricMatrix:
         return value
 
     def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Weight the coefficient gradients with quadratic forms (n, n_terms, m): Σ_k forms[:, k] ∂c_k/∂theta.
+        """Return Σ_k forms[:, k] ∂c_k/∂theta for quadratic forms (n, n_terms, m) and coefficients c_k.
 
         The result has shape (n, m, n_parameters).
         """
@@ -224,7 +224,7 @@ class ParametricMatrix:
         return np.einsum("kj,nmj->nkm", self._slopes, d)
 
     def contract_twice(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Weight the second derivatives with quadratic forms: Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j.
+        """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j for quadratic forms and coefficients c_k.
 
         The forms have shape (n, n_terms, m, n_parameters), and the result has shape (n, m, n_parameters).
         """
@@ -234,7 +234,7 @@ class ParametricMatrix:
         return total
 
     def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
-        """Return the second derivatives along d, Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j; see `contract`.
+        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j: like `contract`, with second derivatives along d.
 
         Both `d` and the result have shape (n, m, n_parameters).
         """
@@ -257,7 +257,7 @@ def _as_csr(matrix: Any) -> sp.csr_array:
 
 
 def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
-    """Build a term from a matrix, given alone, with its parameter's name, or with powers by name.
+    """Build a term from a matrix alone, a matrix and its parameter's name, or a matrix and powers keyed by name.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Rigid alignment of points to a mesh, by iterative closest points (ICP) from many starting alignments.
 
-Each step (Besl & McKay 1992) is the least-squares alignment of Kabsch (1976) to the nearest nodes. The iterations
+Each step (Besl & McKay 1992) is the least-squares alignment with the nearest nodes (Kabsch 1976). The iterations
 start from the 24 rotations that map axes to axes, from the principal axes of points and mesh, and from hundreds of
-other rotations. On a regular mesh every shift by the node spacing is a local minimum, so the neighbours of the
-best alignments are tried too.
+other rotations. On a regular mesh every shift by the node spacing is a local minimum, so alignments one node away
+from the best ones are tried too.
 """
 
 from __future__ import annotations
@@ -98,9 +98,10 @@ class Mesh:
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return R (3, 3) and t (3,) of the best fit with the smallest rotation, and the equally good alternatives.
+    """Return R (3, 3) and t (3,) of the best alignment, and all others that fit equally well.
 
-    `x` are the points, shape (n, 3).
+    `x` are the points, shape (n, 3). Of equally good alignments, the one with the smallest rotation is returned
+    first.
     """
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
@@ -160,12 +161,12 @@ def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
 
 
 def _three(x: FloatArray) -> FloatArray:
-    """Repeat the last point until there are at least three points, as an SVD needs."""
+    """Return the points, with the last one repeated until there are three, which an SVD needs."""
     return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
 
 
 def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> Alignment:
-    """Run at most `steps` iterations of closest points; return alignments of shapes (n, 3, 3) and (n, 3)."""
+    """Run at most `steps` ICP iterations from n starting alignments; return n alignments, (n, 3, 3) and (n, 3)."""
     for _ in range(steps):
         placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
         turn, shift = kabsch(placed, mesh.places[mesh.tree.query(placed)[1]])
@@ -182,13 +183,13 @@ def _rms(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool:
-    """Return True if two alignments give different nodes or different directions."""
+    """Return True if two alignments match points to different nodes, or sensors to different directions."""
     places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
     return bool(np.any(places[0] != places[1])) or turn_of(one[0] @ other[0].T)[0] > _ELSEWHERE
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return the rotation angle in degrees and the rotation axis (3,) of the matrix R."""
+    """Return the angle in degrees and the axis (3,) of the rotation matrix R."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

@@ -1,7 +1,7 @@
 """Test–model correlation: measured modes with each other, close modes as a subspace, and sensor by sensor.
 
-After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. The measured
-shapes are scaled to the computed shapes by least absolute differences (`scale_shapes`), so that a single wrong
+After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. Measured
+shapes are scaled to the computed shapes by least absolute deviations (`scale_shapes`), so that a single wrong
 sensor has little influence.
 """
 
@@ -49,10 +49,10 @@ _DEPENDENT = 1e-8
 
 
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Scale computed shapes to mean square 1 and fit measured shapes to them; return both, (n_sensors, n_modes).
+    """Return the measured shapes fitted to the computed shapes, and the computed shapes scaled to mean square 1.
 
-    Each measured shape φ is multiplied by the factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the scaled
-    computed shape: c is the median of ψ_j/φ_j with weights |φ_j|.
+    Both have shape (n_sensors, n_modes). Each measured shape φ is multiplied by the factor c that minimises
+    Σ_j |c φ_j − ψ_j|, where ψ is the scaled computed shape: c is the median of ψ_j/φ_j with weights |φ_j|.
     """
     size = np.sqrt(np.mean(computed**2, axis=0))
     psi = np.divide(computed, size, out=np.zeros_like(computed), where=size > 0)
@@ -112,7 +112,10 @@ def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 
 
 def _orthonormal(shapes: FloatArray) -> FloatArray:
-    """Return orthonormal columns that span the shapes. Columns are zero for linearly dependent shapes."""
+    """Return orthonormal columns that span the shapes.
+
+    If shapes are linearly dependent, the surplus columns are zero.
+    """
     size = np.linalg.norm(shapes, axis=0)
     unit = np.divide(shapes, size, out=np.zeros_like(shapes), where=size > 0)
     U, s, _ = np.linalg.svd(unit, full_matrices=False)
@@ -120,7 +123,7 @@ def _orthonormal(shapes: FloatArray) -> FloatArray:
 
 
 def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[int, ...], ...]:
-    """Group modes with close frequencies; each group has two or more modes.
+    """Return groups of modes with close frequencies, each with two or more modes.
 
     Parameters
     ----------
@@ -179,7 +182,7 @@ class Correlation:
 
     @cached_property
     def subspace(self) -> dict[int, float]:
-        """Smallest cos² of the principal angles between measured and computed subspace, for each mode in a group.
+        """Smallest cos² of the principal angles between measured and computed subspace, keyed by grouped mode.
 
         Groups with at least as many modes as there are sensors are skipped, because they span the whole space.
         """
@@ -191,8 +194,8 @@ class Correlation:
     def suspects(self) -> IntArray:
         """Indices of suspect sensors, worst first, shape (n_suspects,).
 
-        A sensor is suspect if its ECoMAC stands out, or if it appears to be swapped with another. Empty if there
-        are too few sensors or modes to tell.
+        A sensor is suspect if its ECoMAC stands out, or if it appears to be swapped with another. The array is
+        empty if there are too few sensors or modes to tell.
         """
         if not self._is_enough:
             return np.zeros(0, dtype=np.int64)
@@ -208,10 +211,10 @@ class Correlation:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Indices of two sensors that appear to be swapped, or an empty tuple if there are none.
+        """Indices of two sensors that appear to be swapped, or an empty tuple if none do.
 
-        Swapping their measured values makes them agree with the model. They are sought separately because two bad
-        sensors among few do not stand out from the median.
+        Swapping their measured values makes them agree with the model. Swapped sensors are sought separately,
+        because two bad sensors among few do not stand out from the median.
         """
         worst = np.argsort(-self.ecomac, kind="stable")[:_TRIED].tolist()
         if not self._is_enough or self.ecomac[worst[0]] <= SUSPECT:
@@ -254,7 +257,7 @@ class Correlation:
         return found
 
     def sensors_in_doubt(self) -> str:
-        """Return the five worst suspects as text, ``"sensors 3 x and 6 x"``, or an empty string without any."""
+        """Return the five worst suspects as text, ``"sensors 3 x and 6 x"``, or an empty string if none."""
         named = [self.sensors[j] for j in sorted(self.suspects[:_MOST_NAMED].tolist())]
         return f"sensor{'s' * (len(named) > 1)} {names_in_words(named)}" if named else ""
 

@@ -1,9 +1,9 @@
 """Expansion of measured shapes to all degrees of freedom of a model, for plots.
 
-SEREP, the default, fits the model's modes to the measured shapes. Noise at single sensors is averaged out, any
-sensors that tell the modes apart will do, and the residual shows how far to trust the plot. Dynamic expansion
+SEREP, the default, fits the model's modes to the measured shapes. It averages out noise at single sensors, works
+with any sensors that can tell the modes apart, and its residual shows how far to trust the plot. Dynamic expansion
 reproduces the measured values exactly and computes the other degrees of freedom from the model's inertia and
-stiffness. Noise remains, as kinks at the sensors, and the expanded shape is unbounded if a measured frequency is a
+stiffness. Noise remains as kinks at the sensors, and the expanded shape is unbounded if a measured frequency is a
 natural frequency of the model with its sensors fixed.
 """
 
@@ -42,9 +42,10 @@ class Expanded:
 
 
 def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArray:
-    """Return Φ (C Φ)⁺ φ, the combination of model modes closest to each measured shape at the sensors.
+    """Return Φ (C Φ)⁺ φ: for each measured shape, the closest combination of model modes at the sensors.
 
-    The system equivalent reduction expansion process (O'Callahan, Avitabile & Riemer 1989, IMAC VII), smoothed.
+    This is the smoothed form of the system equivalent reduction expansion process (O'Callahan, Avitabile & Riemer
+    1989, IMAC VII).
 
     Parameters
     ----------

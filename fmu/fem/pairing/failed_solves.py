@@ -1,6 +1,7 @@
-"""Explains, in terms of structural dynamics, why a model gave no frequencies at a parameter vector.
+"""Explain, in terms of structural dynamics, why a model gave no frequencies at a parameter vector.
 
-Solvers return NaN on failure and spend no time on the reason. Here a failed theta is solved again to find it.
+To save time, solvers return NaN on failure without a reason. Here a failed theta is solved again to find the
+reason.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
     Parameters
     ----------
     model : ModalModel
-        A user's function is not called again: it may be slow, or fail differently. If the model has several tests,
-        the reason names the first test that failed.
+        If it is a user's function, it is not called again, because it may be slow or fail differently. If the
+        model has several tests, the reason names the first test that failed.
     theta : ndarray, shape (n_parameters,)
         Parameters at which the model has just failed.
     """
@@ -61,7 +62,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
     """Return the reason why the full model fails, or None if it does not.
 
-    The full model matters because it is solved whenever a reduced model fails.
+    The full model is the one that matters, because it is solved whenever a reduced model fails.
     """
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():
@@ -74,7 +75,10 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return the reason why a block fails and the degree of freedom concerned, if any, or None if it solves."""
+    """Return why a block fails and, if there is one, the degree of freedom concerned.
+
+    Return None if the block can be solved.
+    """
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):

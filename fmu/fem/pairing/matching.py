@@ -74,7 +74,7 @@ class Matching:
     doubts: tuple[str, ...]
 
     def sensor(self, point: Hashable, direction: str) -> Dof:
-        """Return the model node and direction of a sensor at `point`; `direction` is along the test's axes.
+        """Return the model node and direction for a sensor at `point`; `direction` is in the test's axes.
 
         Raises
         ------
@@ -103,10 +103,10 @@ class Matching:
     def turned(
         self, sensors: Sequence[Dof], shapes: ArrayLike | None = None
     ) -> tuple[tuple[Dof, ...], FloatArray | None]:
-        """Return the sensors at model nodes along the model's axes, and the shapes there, (n_sensors, n_modes).
+        """Return the sensors as (node, direction) in the model's axes, and the shapes there, (n_sensors, n_modes).
 
         If the test's axes are not parallel to the model's, the three components at each point are rotated
-        together.
+        together. The shapes are None if no shapes are given.
 
         Raises
         ------
@@ -268,7 +268,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a list with a warning if other alignments fit equally well, or an empty list if not."""
+    """Return a list with a warning if other alignments fit equally well, otherwise an empty list."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"
@@ -279,7 +279,7 @@ def _of_alignments(others: Sequence[Alignment]) -> list[str]:
 
 
 def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
-    """Return warnings about points at several coincident nodes, and about points that share a node."""
+    """Return warnings about points matched to several coincident nodes, and about points that share a node."""
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
         f"{those[0]} is taken."
@@ -296,7 +296,7 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
 
 
 def _of_distances(found: Matching, second: FloatArray) -> list[str]:
-    """Return warnings about points that are far from their nodes, or almost as near to another node.
+    """Return warnings about points that are far from their nodes, or almost as close to another node.
 
     `second` is the distance of each point from its second-nearest node, in m.
     """
@@ -327,7 +327,7 @@ def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
 
 
 def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
-    """Return a phrase that names the unit in which the points would fit, or an empty string if there is none."""
+    """Return a phrase that names the unit in which the points would fit, or an empty string if none does."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
             R, t, _ = align_points(factor * given, mesh)
@@ -337,7 +337,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return a phrase that the mirrored points would fit, or an empty string unless they fit much better."""
+    """Return a phrase saying that mirrored points would fit, or an empty string unless they fit much better."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

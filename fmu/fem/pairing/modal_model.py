@@ -1,4 +1,4 @@
-"""Interface of models whose modes are paired with measured modes, and its simple implementations."""
+"""Interface for models whose modes are paired with measured modes, and its simple implementations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FrequencyMap(Protocol):
     """Protocol for a user's own model: it maps parameters to the frequencies of the measured modes.
 
     The optional attributes ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and
-    ``reasons`` are used as `ModalModel` describes them.
+    ``reasons`` have the same meaning as in `ModalModel`.
 
     To compare mode shapes too, the model needs `observed`, which returns a
     `fmu.fem.pairing.prediction.ModalPrediction`.
@@ -106,29 +106,29 @@ class ModalModel:
 
     @property
     def truth(self) -> ModalModel:
-        """The model without approximation error: the model that this one approximates, or the model itself."""
+        """The true model if this model approximates one, otherwise the model itself."""
         return self
 
     @property
     def parts(self) -> tuple[ModalModel, ...]:
-        """Models of the individual tests; only the model itself if it describes a single test."""
+        """One model per test; only the model itself if it describes a single test."""
         return (self,)
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """First failures of a user's function, each with its theta and reason."""
+        """The first failures of a user's function, each with its theta and reason."""
         return ()
 
     def sees(self, sensor: Dof) -> bool:
         """Return True if the model can have a sensor at this (place, direction).
 
-        A model without a list of sensors accepts any.
+        A model without a list of sensors accepts any sensor.
         """
         return True
 
     @contextmanager
     def spread_over(self, engine: Engine | None) -> Iterator[None]:
-        """In a ``with`` block, let an engine's workers call user functions and solve large matrices."""
+        """Within a ``with`` block, let an engine's workers call user functions and solve large matrices."""
         with ExitStack() as stack:
             if engine is not None:
                 for function in self.functions:
@@ -139,11 +139,11 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return how long a user's function took at theta (n_parameters,) in s, or None without a function."""
+        """Return the duration of a user's function at theta (n_parameters,) in s, or None if there is no function."""
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why a user's function gave no frequencies at theta (n_parameters,), or None if it is unknown."""
+        """Return why a user's function failed at theta (n_parameters,), or None if the reason is unknown."""
         return None
 
     @property
@@ -152,23 +152,23 @@ class ModalModel:
         return np.zeros(self.n_modes, dtype=np.int64)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the structure that parameter `k` changes and its index there, or None without matrices."""
+        """Return the structure that parameter `k` changes and its index there, or None if it has no matrices."""
         return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
         """Yield the name, model and own parameters of each test without frequencies at theta (n_parameters,).
 
-        A model for one test yields nothing. All tests with a user's function are yielded, because the function
-        knows where it has failed.
+        A model for a single test yields nothing. Every test with a user's function is yielded, because only the
+        function knows where it has failed.
         """
         yield from ()
 
     def coarser(self, share: float) -> Self:
-        """Return a cheaper, less accurate model with a share of the reduced basis, or itself if not reduced."""
+        """Return a cheaper model that uses a share of the reduced basis, or the model itself if not reduced."""
         return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Call `of` with each structure and its own parameters, and return its values per measured mode.
+        """Call `of` with each structure and its own parameters, and return the values for each measured mode.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class ModalModel:
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return a test's measured-mode frequencies in Hz at the test's own parameters, shape (n, P)."""
+        """Return one test's frequencies in Hz at the test's own parameters, one per measured mode, (n, P)."""
         return self.frequencies(values)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,1 +1,1 @@
-"""Factors of sparse symmetric matrices by LAPACK, SuperLU and PARDISO; `fmu.fem.modes.solver` chooses."""
+"""Factorisation of sparse symmetric matrices with LAPACK, SuperLU or PARDISO; `fmu.fem.modes.solver` chooses."""

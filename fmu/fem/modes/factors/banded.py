@@ -1,4 +1,4 @@
-"""Factors of definite matrices with a narrow band, by LAPACK."""
+"""Factorisation of definite matrices with a narrow band, with LAPACK."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ class Band(NamedTuple):
 def find_band(indptr: bytes, indices: bytes, dtype: str) -> Band | None:
     """Return the band for matrices with this sparsity pattern (CSR), or None if the band is too wide.
 
-    Rows are in reverse Cuthill–McKee order. A model's matrices have one pattern at every theta.
+    Rows are in reverse Cuthill–McKee order. The result is cached, because a model's matrices have the same pattern
+    at every theta.
     """
     rows, columns = np.frombuffer(indptr, dtype), np.frombuffer(indices, dtype)
     n = len(rows) - 1

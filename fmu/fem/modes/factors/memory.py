@@ -1,4 +1,4 @@
-"""Limits for large matrices, and checks that their factors fit in free memory."""
+"""Size limits for large matrices, and checks whether their factors fit in free memory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ reused."""
 
 
 def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense the model") -> None:
-    """Raise MemoryError if factors for `n_dof` rows need more bytes than are free; otherwise log the bytes."""
+    """Raise MemoryError if the factors for `n_dof` rows do not fit in free memory; otherwise log their size.
+
+    `needed` is the size of the factors in bytes.
+    """
     free = free_memory()
     if free is not None and needed > free:
         beside = f"and {significant(free / 2**30, 3)} GiB of memory are free"
@@ -24,17 +27,17 @@ def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense t
 
 
 def is_short(needed: int) -> bool:
-    """Return True if fewer than `needed` bytes of memory are free, or False if this is unknown."""
+    """Return True if fewer than `needed` bytes of memory are free. Return False if the free memory is unknown."""
     free = free_memory()
     return free is not None and needed > free
 
 
 def needed_in_words(needed: int, n_dof: int) -> str:
-    """Return a clause that says how many bytes factors for `n_dof` rows need."""
+    """Return a clause that states how much memory the factors of a matrix with `n_dof` rows need."""
     return f"the factors of {whole(n_dof)} degrees of freedom need {significant(needed / 2**30, 3)} GiB"
 
 
 @cache
 def _tell_once(n_dof: int, gib: str) -> None:
-    """Log the memory that factors need, once for each size."""
+    """Log the memory that factors need, once for each matrix size."""
     tell_fact(f"The factors of {whole(n_dof)} degrees of freedom will take {gib} GiB of memory.")

@@ -1,4 +1,4 @@
-"""Factors by PARDISO in Intel's MKL (package pypardiso)."""
+"""Factorisation with PARDISO in Intel's MKL (package pypardiso)."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 def n_threads() -> int:
     """Return the number of threads that PARDISO uses to factorise, at most 8.
 
-    It is the environment variable ``MKL_NUM_THREADS`` or, without it, ``OMP_NUM_THREADS``; fmu's engines and Dask
-    set both to 1 in their workers. Without both it is the number of processors that this process may use.
+    It is given by the environment variable ``MKL_NUM_THREADS`` or, if that is not set, by ``OMP_NUM_THREADS``.
+    fmu's engines and Dask set both to 1 in their workers. If neither is set, it is the number of processors that
+    this process may use.
     """
     given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -53,7 +54,7 @@ def n_threads() -> int:
 
 
 class _LargeFactorsError(Exception):
-    """Raised for factors so large that they should be computed in single precision."""
+    """Raised if factors are so large that they should be computed in single precision."""
 
 
 def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFactor:
@@ -68,8 +69,8 @@ def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFact
 class Pardiso:
     """Cholesky factors of a matrix or, if it is indefinite, factors L D Lᵀ with a diagonal D.
 
-    If the factors do not fit in free memory, they are stored in files, of which PARDISO holds a part in memory.
-    Factors in files and factors in memory differ by rounding.
+    Factors that do not fit in free memory are stored in files, and PARDISO loads a part of them at a time. Factors
+    in files and factors in memory differ by rounding.
 
     Raises
     ------
@@ -112,7 +113,7 @@ class Pardiso:
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of memory for the factors, or for the part of them that may be in memory."""
+        """Bytes of memory for the factors or, if the factors are in files, for the part that may be loaded."""
         n_bytes = sum(1024 * int(self._solver.get_iparm(i)) for i in (16, 17))
         return n_bytes if self._in_memory is None else min(n_bytes, self._in_memory)
 
@@ -150,9 +151,10 @@ class Pardiso:
 
 
 def _folder_for(n_bytes: int) -> str | None:
-    """Create a folder on a disk with at least `n_bytes` free and return it, or return None if there is no room.
+    """Create and return a folder on a disk with at least `n_bytes` free, or return None if no disk has room.
 
-    It is in the folder given by the environment variable ``MKL_PARDISO_OOC_PATH``, or else among temporary files.
+    It is inside the folder named by the environment variable ``MKL_PARDISO_OOC_PATH`` or, by default, inside the
+    folder for temporary files.
     """
     folder = tempfile.mkdtemp(prefix="fmu-factors-", dir=_USERS_FOLDER)
     if shutil.disk_usage(folder).free > n_bytes:
