@@ -139,7 +139,7 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the duration of a user's function at theta (n_parameters,) in s, or None if there is no function."""
+        """Return the seconds that a user's function took at theta (n_parameters,), or None if there is none."""
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:
@@ -196,7 +196,7 @@ class ModalModel:
         raise NotImplementedError
 
     def gives_curvature(self, shapes: bool) -> bool:
-        """Return True if `sensitivities` has second derivatives of frequencies and, with `shapes`, of shapes."""
+        """Return True if `sensitivities` gives second derivatives of frequencies and, if `shapes`, of shapes."""
         return not self.is_uncertain and (self.gives_shape_curvature or not shapes)
 
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
@@ -204,7 +204,7 @@ class ModalModel:
 
         ``found.gradient`` is the exact J (n, n_modes, n_parameters); ``found.curvature(d)`` with d of the same
         shape then returns H_i d_i. For structures given by matrices, both come from one eigenproblem. By default,
-        exact gradients are differenced, which takes 2 n_modes more gradients per theta.
+        the second derivatives are differences of exact gradients, at a cost of 2 n_modes more gradients per theta.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class ModalModel:
         return SensitivitiesByDifferences(self.frequencies_and_gradient, theta, steps)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
 
         Derivatives are included if `gradient`.
         """
@@ -236,7 +236,7 @@ class PartialModel(ModalModel):
     whole : ModalModel
         A model that gives shapes.
     modes, rows : sequence of int
-        Indices of the modes and of the sensors.
+        Indices of these modes and sensors.
     """
 
     gives_shapes = True
@@ -259,7 +259,7 @@ class PartialModel(ModalModel):
         return frequencies[:, self._modes], gradient[:, self._modes]
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
 
         Derivatives are included if `gradient`.
         """
@@ -276,7 +276,7 @@ class PartialModel(ModalModel):
 
 
 class GivenModel(ModalModel):
-    """Adapter from a user's own `FrequencyMap` to a `ModalModel`; missing attributes take the defaults."""
+    """Adapter from a user's own `FrequencyMap` to a `ModalModel`; attributes that it lacks have their defaults."""
 
     def __init__(self, given: Any, n_sensors: int) -> None:
         self.given, self.n_sensors = given, n_sensors
@@ -295,16 +295,16 @@ class GivenModel(ModalModel):
         return getattr(self.given, "reasons", ())
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return the user's frequencies in Hz, shape (n, n_modes).
+        """Return the frequencies of the user's model in Hz, shape (n, n_modes).
 
-        Raises ValueError if the user's method raises or returns a wrong array.
+        Raise ValueError if the user's method raises an exception or returns a wrong array.
         """
         return self._real("frequencies", self._call("frequencies", theta), (len(theta), self.n_modes))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the user's frequencies in Hz, (n, n_modes), and gradients, (n, n_modes, n_parameters).
 
-        Raises ValueError as `frequencies` does.
+        Raise ValueError under the same conditions as `frequencies`.
         """
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
         given = self._call(method, theta)
@@ -331,7 +331,10 @@ class GivenModel(ModalModel):
         return array.astype(float, copy=False)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the user's prediction at the sensors. Raise ValueError as `frequencies` does."""
+        """Return the user's prediction at the sensors.
+
+        Raise ValueError under the same conditions as `frequencies`.
+        """
         given = self._call("observed", theta, gradient)
         if not isinstance(given, ModalPrediction):
             raise ValueError(
@@ -354,7 +357,7 @@ class GivenModel(ModalModel):
 
 
 def as_modal_model(given: ModalModel | FrequencyMap, n_sensors: int = 0) -> ModalModel:
-    """Return a paired model unchanged, or wrap a user's own model as a `ModalModel`.
+    """Return a `ModalModel` unchanged, or wrap a user's own model as one.
 
     If a user's model gives shapes, they must be at the `n_sensors` sensors at which shapes were measured.
     """

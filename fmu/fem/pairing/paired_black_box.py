@@ -29,10 +29,10 @@ class PairedBlackBox(ModalModel):
     answer : Answer
         Function result at the starting point, which shows which arrays the function returns.
     pairing : {"shape", "index"}
-        ``"shape"``: one to one by MAC, if shapes were measured and the function returns shapes; otherwise, and
-        with ``"index"``, by number.
+        ``"shape"``: one to one by MAC, if shapes were measured and the function returns shapes, otherwise by
+        number. ``"index"``: by number.
     numbers : tuple of int
-        Number (from 1) of each measured mode in the order in which the function returns them.
+        Number (from 1) of each measured mode in the order in which the function returns modes.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured shapes.
     lower, upper, scale : ndarray, shape (n_parameters,)
@@ -43,9 +43,9 @@ class PairedBlackBox(ModalModel):
     by_shape : bool
         Whether modes are paired by MAC.
     gives_shapes : bool
-        Whether the function gives shapes, at as many sensors as were measured.
+        Whether the function gives shapes at the measured sensors.
     solves_per_gradient : int
-        Cost of a gradient with its frequencies, in solves: 1, or 2 n_parameters + 1 by central differences.
+        Solves needed for the frequencies and their gradient: 1, or 2 n_parameters + 1 with central differences.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class PairedBlackBox(ModalModel):
 
     @classmethod
     def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
-        """Call the function once, at `start` (n_parameters,), and return its paired model.
+        """Return the paired model of a function, which is called once, at `start` (n_parameters,).
 
         The other arguments are the class's parameters.
 
@@ -101,7 +101,7 @@ class PairedBlackBox(ModalModel):
 
     @property
     def reasons(self) -> list[Failure]:
-        """First failures of the function, each with its theta and reason."""
+        """The first failures of the function, each with its theta and reason."""
         return self.black_box.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -111,8 +111,8 @@ class PairedBlackBox(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters).
 
-        The gradients come from the function if it returns them. Otherwise they are central differences with the
-        perturbations in eq. (15) of the paper, one-sided at a bound or where the function fails on one side.
+        If the function returns no gradients, central differences with the perturbations in eq. (15) of the paper
+        are used. They are one-sided at a bound, and where the function fails on one side.
         """
         frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -123,10 +123,10 @@ class PairedBlackBox(ModalModel):
         return frequencies, gradient
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
 
-        Derivatives are included if `gradient`. Shape derivatives are central differences; so are frequency
-        derivatives if the function returns no gradient.
+        Derivatives are included if `gradient`. Shape derivatives are central differences. Frequency derivatives
+        are too if the function returns no gradient.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class PairedBlackBox(ModalModel):
         return None
 
     def _pair_modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the paired frequencies, the function's own gradients and the shapes, with NaN where missing."""
+        """Return the paired frequencies, the function's own gradients and the shapes; missing values are NaN."""
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)
         for i, solve in enumerate(self.black_box.solved.of(theta)):
@@ -188,9 +188,10 @@ class PairedBlackBox(ModalModel):
         return f, df, phi
 
     def _columns(self, answer: Answer | Solve) -> IntArray:
-        """Return the index of the mode paired with each measured mode, shape (n_modes,).
+        """Return the index of the computed mode paired with each measured mode, shape (n_modes,).
 
-        Raises AnswerError if one is missing.
+        Raise AnswerError if a paired mode is missing or its frequency is invalid, or the shapes do not fit the
+        sensors.
         """
         given = len(answer.frequencies)
         if self.reference is None:
@@ -216,9 +217,10 @@ class PairedBlackBox(ModalModel):
     def _differences(
         self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
     ) -> FloatArray:
-        """Return derivatives (n, k, n_parameters) of the values `here` (n, k), by central differences.
+        """Return the derivatives (n, k, n_parameters) of values `here` (n, k), by central differences.
 
-        ``nearby(points, of)`` returns the values at points, where `of` gives the row of theta for each point.
+        ``nearby(points, of)`` returns the values at displaced points; `of` is the index of each point's row in
+        theta.
         """
         n, ndim = theta.shape
         points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)

@@ -88,7 +88,7 @@ class PairedStructure(ModalModel):
         self._observed = self.pairing.observe(blocks)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without data that are recomputed on demand."""
+        """Return the state for pickling. It omits data that are recomputed on demand."""
         return {name: value for name, value in self.__dict__.items() if name not in ("rows", "_compared")}
 
     @classmethod
@@ -209,10 +209,10 @@ class PairedStructure(ModalModel):
 
     @cached_property
     def _compared(self) -> dict[int, Observation]:
-        """For a pairing by shape, each block's comparison coordinates and the reference shapes there.
+        """Comparison coordinates and reference shapes, keyed by block; only for a pairing by shape.
 
-        Shapes are compared at the sensors or, if none were measured, in a basis of all shapes that a reduced block
-        can have.
+        Shapes are compared at the sensors if shapes were measured, otherwise in a basis of all shapes that a
+        reduced block can have.
         """
         assert self.rule.by_shape  # for the type checker
         found = {}
@@ -241,7 +241,7 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
 
         Derivatives are included if `gradient`.
         """
@@ -250,7 +250,7 @@ class PairedStructure(ModalModel):
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all candidates for pairing with the measured modes at theta (n, n_parameters).
 
-        They have derivatives if `gradient`. The pairing must be by shape, soft or not.
+        Derivatives are included if `gradient`. Requires a pairing by shape, which may be soft.
         """
         return _solve_counted(self.choose, theta, gradient)
 
@@ -275,12 +275,12 @@ class PairedStructure(ModalModel):
         return StructureSensitivities(self.blocks, located, counts, theta, sensors)
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return the eigenvalues in (rad/s)² of all candidate modes, and of one more mode per block.
+        """Return the eigenvalues in (rad/s)² of all candidate modes and of one additional mode per block.
 
         Returns
         -------
         eigenvalues : ndarray, shape (n, n_candidates)
-            NaN where a solve failed, and for modes that a reduced model was not trained for.
+            NaN where a solve failed, and for modes for which a reduced model was not trained.
         block, rank : ndarray of int, shape (n_candidates,)
             Each mode's block index, and its index (from 0) within that block.
         """
@@ -291,12 +291,15 @@ class PairedStructure(ModalModel):
         return found, *candidate_numbers(counts)
 
     def candidate_counts(self) -> dict[int, int]:
-        """Return the number of modes that `candidates` gives for each block, by block index."""
+        """Return how many modes per block `candidates` gives, keyed by block index."""
         counts = self.rule.counts(self.blocks)
         return {b: min(count + 1, self.blocks[b].n_modes) for b, count in counts.items()}
 
     def spectra(self, theta: FloatArray, counts: Mapping[int, int]) -> FloatArray:
-        """Return the lowest `counts[b]` eigenvalues of each block b, (n, n_candidates), or NaN if untrained."""
+        """Return the lowest `counts[b]` eigenvalues of each block b in (rad/s)², shape (n, n_candidates).
+
+        Modes for which a reduced block was not trained are NaN.
+        """
         parts = []
         for b, count in counts.items():
             found = np.full((len(theta), count), np.nan)
@@ -315,7 +318,7 @@ class PairedStructure(ModalModel):
     def shapes(self, theta: FloatArray) -> FloatArray:
         """Return the mass-normalised shapes of the paired modes at theta (n_parameters,), shape (n_dof, n_modes).
 
-        They are zero in blocks that a mode does not move, and NaN where a solve failed.
+        A shape is zero outside its mode's block, and NaN where a solve failed.
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)
@@ -323,7 +326,7 @@ class PairedStructure(ModalModel):
             return join_shapes(self.blocks, point, modes, self.rule.counts(self.blocks))
 
     def fingerprint(self) -> str:
-        """Return a hash of all data that the frequencies depend on."""
+        """Return a hash of all data that affect the frequencies."""
         digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
         matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
         of_rule, its_matrices = self.rule.identity()
@@ -346,13 +349,13 @@ class PairedStructure(ModalModel):
 
 
 def structure_of(model: ModalModel) -> PairedStructure | None:
-    """Return the structure that a model is or approximates, or None if it is not given by matrices."""
+    """Return the structure that a model is, or that it approximates; None if it is not given by matrices."""
     truth = model.truth
     return truth if isinstance(truth, PairedStructure) else None
 
 
 def largest_block(model: ModalModel) -> int:
-    """Return the number of degrees of freedom in a model's largest block, or 0 without matrices."""
+    """Return the number of degrees of freedom in a model's largest block, or 0 if it has no matrices."""
     structure = structure_of(model)
     return 0 if structure is None else max(block.size for block in structure.blocks)
 
@@ -365,7 +368,7 @@ def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
 
 
 def candidate_numbers(counts: Mapping[int, int]) -> tuple[IntArray, IntArray]:
-    """Return the block index and rank, shape (n,) each, for the lowest `counts[b]` modes of each block b."""
+    """Return block index and rank, (n,) each, of the lowest `counts[b]` modes of each block b."""
     ranks = np.concatenate([np.arange(count) for count in counts.values()])
     return np.repeat(list(counts), list(counts.values())), ranks
 

@@ -33,10 +33,10 @@ class ModalPrediction:
     frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
     frequency_variance, shape_variance : ndarray, shaped like frequencies (Hz²) and shapes, or None
-        Variances of a surrogate's errors, which are independent of each other; None if it is no surrogate.
+        Variances of a surrogate's errors, which are mutually independent; None if the model is no surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
     frequency_variance_by_noise : ndarray, shape (n, n_modes, n_noise), or None
-        Derivatives with respect to inferred standard deviations, on which a discrepancy's variances depend.
+        Derivatives of a discrepancy's variances with respect to inferred standard deviations.
     """
 
     frequencies: FloatArray
@@ -86,7 +86,7 @@ class Candidates:
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
-    """Return a copy of a dataclass of arrays (n, …) with `rows` replaced by those in `other`.
+    """Return a dataclass of arrays (n, …) in which the rows marked in `rows` come from `other`.
 
     Attributes that are None stay None.
     """
@@ -112,7 +112,7 @@ def predict_modes(
     theta: FloatArray,
     gradient: bool,
 ) -> ModalPrediction:
-    """Predict the paired modes at the sensors with a full or reduced model, with derivatives if `gradient`.
+    """Return the paired modes at the sensors from a full or reduced model, with derivatives if `gradient`.
 
     Parameters
     ----------
@@ -157,16 +157,16 @@ def predict_candidates(
     theta: FloatArray,
     gradient: bool,
 ) -> Candidates:
-    """Predict all modes of a full or reduced model that are candidates for pairing.
+    """Return all modes of a full or reduced model that are candidates for pairing.
 
     Parameters
     ----------
     blocks : sequence of Block
     rule : ShapePairing
     compared : mapping of int to Observation
-        Each block's comparison coordinates, and the reference shapes there.
+        Comparison coordinates and reference shapes there, keyed by block index.
     at_sensors : bool
-        Whether these coordinates are the sensors, so that the shapes there are needed in addition to their MAC.
+        Whether these coordinates are the sensors. If so, the shapes there are returned in addition to their MAC.
     theta : ndarray, shape (n, n_parameters)
     gradient : bool
         Whether derivatives are needed.
@@ -196,8 +196,8 @@ def _compare(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return the MAC between reference i and mode k, (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), and its derivatives.
 
-    The MAC has shape (n, m, k). The derivatives are None if the shapes in `seen` have none. With c = ψᵀφ and l =
-    φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
+    The MAC has shape (n, m, k). If `seen` has no shape derivatives, the derivatives of the MAC are None. With c =
+    ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
     """
     phi = np.ascontiguousarray(seen.shapes)
     length = np.sum(phi**2, axis=1)

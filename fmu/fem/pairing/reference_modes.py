@@ -1,4 +1,4 @@
-"""Reference shapes for pairing, computed with the model before updating, and the rigid-body mode count."""
+"""Reference shapes for pairing, computed from the model before updating, and the number of rigid-body modes."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def reference_modes(
     n_modes: int,
     counterparts: tuple[int, ...] = (),
 ) -> ShapePairing:
-    """Return a pairing by shape whose references are a model's elastic modes that the sensors can see.
+    """Return a pairing by shape whose references are the model's elastic modes that the sensors can see.
 
     Without measured shapes, a mode that moves none of the sensors cannot have been measured. The references are
-    the lowest `n_modes` visible modes in ascending order, or the `counterparts`.
+    the lowest `n_modes` visible modes in ascending order or, if given, the `counterparts`.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def reference_modes(
         Unreduced.
     theta : ndarray, shape (n_parameters,)
         Parameters of the reference model, usually before updating.
-    sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
-        The sensors, and the coordinates at which the shapes will be compared.
+    sensors, rows : scipy.sparse.csr_array, each with n_dof columns
+        The sensors, and the coordinates at which the shapes will be compared, one per row.
     n_modes : int
         Number of measured modes.
     counterparts : tuple of int, optional
@@ -65,9 +65,9 @@ def reference_modes(
 def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
     """Return the number of rigid-body modes at theta (n_parameters,).
 
-    A rigid-body mode has a vanishing frequency compared with the highest one. A very stiff spring would make every
-    other mode look rigid. If a measured frequency `elastic_hz` is given, a rigid-body mode must therefore be far
-    below it too.
+    A mode counts as rigid if its frequency is negligible compared with the highest one. If there is a very stiff
+    spring, this would be true of every other mode. A measured frequency `elastic_hz` can therefore be given, and a
+    rigid-body mode must then lie far below this frequency too.
     """
     count = min(n_modes + 7, count_modes(blocks))  # at most six rigid-body modes, and one elastic mode
     lam = solve_spectrum(blocks, np.atleast_2d(theta), count).eigenvalues[0]
@@ -78,7 +78,7 @@ def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elasti
 def _visible_modes(
     blocks: Sequence[Block], theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
 ) -> tuple[FloatArray, IntArray]:
-    """Return the shapes at `rows`, (n, q), and ranks in their blocks, (n,), of elastic modes that sensors see."""
+    """Return the elastic modes that the sensors see: shapes at `rows`, (n, q), and ranks in their blocks, (n,)."""
     point = np.atleast_2d(theta)
     spectrum = solve_spectrum(blocks, point, count)
     shapes = np.ascontiguousarray(join_shapes(blocks, point, spectrum).T)

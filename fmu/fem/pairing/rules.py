@@ -2,8 +2,8 @@
 
 Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape (the paper). Pairing by shape is
 the one-to-one assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple,
-so that the assignment by shape usually cannot change inside a decoupled block. Where the assignment is verified to
-be constant, each mode has a fixed rank within its block, and eigenvalues suffice.
+so the assignment by shape usually cannot change inside a decoupled block. If the assignment is verified to be
+constant, each mode has a fixed rank within its block, and only eigenvalues need to be computed.
 
 A mode's rank is its index (from 0) among the modes of its block.
 """
@@ -65,16 +65,16 @@ class Pairing(ABC):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return the block and rank of each paired mode, shapes (n, n_modes), and the solved modes by block.
+        """Return the block and rank of each paired mode, (n, n_modes) each, and the solved modes keyed by block.
 
-        Block and rank are −1 in rows where a solve failed. With `gradient`, enough modes are solved for
-        `Block.seen` to compute derivatives.
+        Block and rank are −1 in rows where a solve failed. With `gradient`, enough modes are computed for
+        `Block.seen` to give derivatives.
         """
 
 
 @dataclass(frozen=True)
 class RankPairing(Pairing):
-    """Pairing, at every theta, of measured mode i with the mode of rank ``rank[i]`` in block ``block[i]``."""
+    """Pairing of measured mode i with the mode of rank ``rank[i]`` in block ``block[i]``, at every theta."""
 
     block: tuple[int, ...]
     rank: tuple[int, ...]
@@ -92,12 +92,12 @@ class RankPairing(Pairing):
 
     @cached_property
     def _columns(self) -> list[IntArray]:
-        """Indices of the measured modes in each block, by ascending block index."""
+        """Indices of the measured modes in each block, in ascending order of block index."""
         return [np.flatnonzero(self._labels[0][0] == b) for b in np.unique(self.block)]
 
     @cached_property
     def _parts(self) -> list[tuple[int, int, slice | IntArray]]:
-        """For each block: its index, how many modes to solve for, and the ranks of the paired modes."""
+        """For each block, its index, the number of modes to solve for, and the ranks of the paired modes."""
         parts: list[tuple[int, int, slice | IntArray]] = []
         for columns in self._columns:
             ranks = self._labels[1][0, columns]
@@ -112,7 +112,7 @@ class RankPairing(Pairing):
     def solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
-        """Return the paired modes, solving only their blocks, and computing shapes only with `gradient`."""
+        """Return the paired modes. Only their blocks are solved, and shapes are computed only if `gradient`."""
         values, slopes = [], []
         for b, count, ranks in self._parts:
             block = blocks[b]
@@ -130,7 +130,7 @@ class RankPairing(Pairing):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return each mode's block and rank at theta (n, n_parameters), shapes (n, m), and an empty dict."""
+        """Return the block and rank of each mode at theta (n, n_parameters), (n, m) each, and an empty dict."""
         block, rank = self._labels
         return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
 
@@ -139,7 +139,7 @@ class RankPairing(Pairing):
 
 
 def _as_slice(indices: IntArray) -> slice | IntArray:
-    """Return consecutive indices as a slice, with which NumPy copies nothing; return other indices unchanged."""
+    """Return consecutive indices as a slice, so that NumPy makes no copy; return other indices unchanged."""
     first = int(indices[0])
     consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
     return slice(first, first + len(indices)) if consecutive else indices
@@ -153,7 +153,8 @@ class IndexPairing(Pairing):
     ----------
     numbers : tuple of int
     n_rigid : int
-        Number of rigid-body modes that were added to the measured numbers, which start at the first elastic mode.
+        Number of rigid-body modes, already added to `numbers`, if the measured numbers start at the first elastic
+        mode.
     """
 
     numbers: tuple[int, ...]
@@ -185,13 +186,13 @@ class IndexPairing(Pairing):
         return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of the lowest modes in each block may be paired, by block index."""
+        """Return how many of the lowest modes in each block may be paired, keyed by block index."""
         return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(blocks) if block.n_modes}
 
     def find_needed(
         self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return None, and how many modes are needed in each block; see `ShapePairing.find_needed`."""
+        """Return None, and how many modes each block needs; see `ShapePairing.find_needed`."""
         values = [eigenvalues[b] for b in sorted(eigenvalues)]
         highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.numbers) - 1]
         # one mode more than was ever among the lowest shows that no mode is missing
@@ -215,8 +216,8 @@ class ShapePairing(Pairing):
     shapes : ndarray, shape (q, n_modes)
         Reference shapes at these coordinates: measured shapes, or shapes of the model before updating.
     margin : int
-        Number of candidates in each block beyond the number of references. It allows for unmeasured modes below
-        the references, such as rigid-body modes, and for a few modes above.
+        By how much the number of candidates in each block exceeds the number of references. This allows for
+        unmeasured modes below the references, such as rigid-body modes, and for a few modes above.
     """
 
     rows: sp.csr_array
@@ -253,7 +254,7 @@ class ShapePairing(Pairing):
     def _solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed
     ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
-        """Return the modes of each block, the eigenvalues of all candidates, and the result of `assign_modes`."""
+        """Return each block's modes, the eigenvalues of all candidates, and the result of `assign_modes`."""
         observed = self.observe(blocks) if observed is None else observed
         solved: Solved = {}
         values, shapes = [], {}
@@ -269,11 +270,11 @@ class ShapePairing(Pairing):
         return min(self.shapes.shape[1] + self.margin, blocks[b].n_modes)
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of the lowest modes in each block may be paired, by block index."""
+        """Return how many of the lowest modes in each block may be paired, keyed by block index."""
         return {b: self.n_candidates(blocks, b) for b in self.observe(blocks)}
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return the `Observation` of each block in which a reference shape is nonzero, by block index."""
+        """Return an `Observation` for each block in which a reference shape is nonzero, keyed by block index."""
         observed = {}
         for b, block in enumerate(blocks):
             seen = self.rows[:, block.dofs]
@@ -285,7 +286,7 @@ class ShapePairing(Pairing):
     def find_needed(
         self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return the pairing as fixed ranks, or None if it varies, and how many modes are needed in each block.
+        """Return the pairing as fixed ranks, or None if it varies, and how many modes each block needs.
 
         Parameters
         ----------
@@ -301,7 +302,7 @@ class ShapePairing(Pairing):
         return fixed, {b: 1 + max(r for owner, r in ranks if owner == b) for b in fixed.block}
 
     def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return the MAC assignment as fixed ranks if it is the same at every sampled theta, or None if not."""
+        """Return the MAC assignment as fixed ranks, or None unless it is the same at every sampled theta."""
         observed = self.observe(blocks)
         found: RankPairing | None = None
         for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):
@@ -316,7 +317,7 @@ class ShapePairing(Pairing):
     def assign_modes(
         self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
     ) -> tuple[IntArray, IntArray, IntArray]:
-        """Return the block, rank and candidate column of the mode assigned to each reference, (n, n_modes).
+        """Return the block, rank and candidate column of the mode assigned to each reference, (n, n_modes) each.
 
         Parameters
         ----------
@@ -345,8 +346,8 @@ class ShapePairing(Pairing):
 class SoftPairing(ShapePairing):
     """Pairing of every measured mode with every candidate, with normalised weights exp(MAC/τ).
 
-    The solver is the same as in `ShapePairing`, and gives the modes of the one-to-one assignment. A soft pairing
-    is never constant, because all candidates are needed everywhere.
+    `solve` and `locate` are inherited from `ShapePairing` and give the modes of the one-to-one assignment. A soft
+    pairing is never constant, because all candidates are needed everywhere.
 
     Attributes
     ----------
@@ -363,7 +364,7 @@ class SoftPairing(ShapePairing):
             raise ValueError(f"softness: must be positive and finite (got {self.softness})")
 
     def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return None: a soft pairing is never constant."""
+        """Return None, because a soft pairing is never constant."""
         return None
 
 

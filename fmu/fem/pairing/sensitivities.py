@@ -1,9 +1,9 @@
 """Frequencies, gradients, and second derivatives along one direction per mode, from the same eigenproblem.
 
 With λ = (2πf)² and the second derivatives H^λ of an eigenvalue (`fmu.fem.modes.block.Block.eigenvalue_curvature`),
-the second derivatives of a frequency along d are H d = (H^λ d/(8π²) − ∂f/∂θ (∂f/∂θ·d))/f. They are exact for
-matrices; for other models exact gradients are differenced. Weighted sums of the second derivatives of shapes
-(`fmu.fem.modes.block.Block.shape_curvature`) are known for matrices only.
+the second derivatives of a frequency along d are H d = (H^λ d/(8π²) − ∂f/∂θ (∂f/∂θ·d))/f. For models given by
+matrices they are exact; for other models they are differences of exact gradients. Weighted sums of the shapes'
+second derivatives (`fmu.fem.modes.block.Block.shape_curvature`) are available only for models given by matrices.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ class Sensitivities:
 
     @property
     def prediction(self) -> ModalPrediction:
-        """Frequencies and derivatives as a prediction, with shapes if they were requested."""
+        """The frequencies and their derivatives as a `ModalPrediction`, with shapes if they were requested."""
         n, m = self.frequencies.shape
         shapes = np.empty((n, 0, m)) if self.shapes is None else self.shapes
         return ModalPrediction(self.frequencies, shapes, self.gradient, self.shape_slopes)
 
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
-        """Return each frequency's second derivatives H_i along its direction d_i, H_i d_i, (n, m, n_parameters).
+        """Return H_i d_i, (n, m, n_parameters): each frequency's second derivatives H_i along its direction d_i.
 
         Parameters
         ----------
@@ -95,8 +95,8 @@ class SensitivitiesByDifferences(Sensitivities):
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
         """Return second derivatives along `d` from 2 m gradients per theta; see `Sensitivities.curvature`.
 
-        At a bound, the midpoint of the difference is moved inwards by one step. The relative error is then of the
-        order of the step.
+        At a bound, the midpoint of the difference is moved inwards by one step, which makes the relative error as
+        large as the step.
         """
         n, m, p = d.shape
         lower, upper = self._steps.bounds
@@ -111,7 +111,7 @@ class SensitivitiesByDifferences(Sensitivities):
 
 
 class JoinedSensitivities(Sensitivities):
-    """Sensitivities of a batch whose rows were solved by different models or in different batches.
+    """Sensitivities for a batch whose rows were solved by different models or in different batches.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class JoinedSensitivities(Sensitivities):
 
 
 class _Solved(NamedTuple):
-    """A block's modes at all theta, and which of them are paired with which measured modes.
+    """A block's modes at all theta, and which measured modes they are paired with.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class _Solved(NamedTuple):
     lam, phi : ndarray
         From `Block.modes`.
     row, column, rank : ndarray of int, shape (k,)
-        Indices of theta, of the measured mode, and of the mode in the block.
+        For each of k pairs, the indices of theta, of the measured mode, and of the mode in the block.
     """
 
     block: Block
@@ -174,7 +174,7 @@ class StructureSensitivities(Sensitivities):
     located : tuple
         The result of `fmu.fem.pairing.rules.Pairing.locate` at theta with `gradient`.
     counts : dict of int to int
-        How many of the lowest modes in each block may be paired.
+        How many of the lowest modes in each block may be paired, keyed by block index.
     theta : ndarray, shape (n, n_parameters)
     sensors : sequence of matrices, optional
         Sensor rows of each block, if shapes are requested.
@@ -232,7 +232,7 @@ class StructureSensitivities(Sensitivities):
             return np.asarray((found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None] + rest)
 
     def _left(self, part: _Solved, weights: FloatArray) -> FloatArray:
-        """Convert weights of sensor shapes to weights of a block's shapes, (n, size, m, n_parameters)."""
+        """Convert weights for sensor shapes to weights for a block's shapes, (n, size, m, n_parameters)."""
         assert part.sensors is not None  # shapes were requested
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
         at_sensors = np.zeros((n, q, count, p))

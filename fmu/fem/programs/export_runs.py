@@ -1,9 +1,9 @@
 """Separate program runs that export the stiffness and mass of one property group at a time.
 
-Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its starting value, and all others have a thousandth
-of theirs. Then K_j is a difference of two exports, in which the other terms, and with them their rounding errors,
-are a thousand times smaller than in K(θ). The others are not zero, because programs refuse elements without
-stiffness and omit rows without stiffness.
+Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its starting value, and all others are reduced to a
+thousandth of theirs. Then K_j is a difference of two exports, in which the other terms and their rounding errors
+are a thousand times smaller than in K(θ). The other parameters are not zero, because programs refuse elements
+without stiffness and omit rows without stiffness.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ _CHECKED = 0.75
 
 
 def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the parameter values for each unit run: all low, each alone at its starting value, all in between.
+    """Return the parameter values for all unit runs and for a final run that checks linearity.
 
-    Low values are `UNIT` times the starting values. The last run is for checking: it shows whether the matrices
-    are linear in the parameters.
+    In the first run all values are low: `UNIT` times the starting values. In each of the next runs one parameter
+    has its starting value. In the last run all values are in between; it shows whether the matrices are linear in
+    the parameters.
     """
     low = {name: UNIT * x for name, x in start.items()}
     alone = [low | {name: x} for name, x in start.items()]

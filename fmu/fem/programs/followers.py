@@ -25,7 +25,7 @@ _TAG = 987_654_321
 def follower_motions(
     ops: ModuleType, directions: Mapping[int, Sequence[str]], dofs: Collection[DofName], step: float
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return each follower's displacement as a weighted sum of the degrees of freedom that it follows.
+    """Return each follower's displacement as a weighted sum of retained degrees of freedom.
 
     OpenSees does not print C in u_follower = C u_retained. C is therefore fitted by least squares to displacements
     under random loads: the handler Transformation imposes the constraint to rounding. The loads act during a step
@@ -47,7 +47,8 @@ def follower_motions(
     motions : dict of (node, direction) to dict of (node, direction) to float
         For each follower, the weights of the free degrees of freedom. Followers that do not move are omitted.
     notes : list of str
-        One sentence that lists the followers without an exact sum, at which no sensor can be; empty if none.
+        One sentence that lists the followers whose displacement is not such a sum; sensors cannot be there. Empty
+        if there are none.
     """
     retained = {
         node: sorted(set(ops.getRetainedNodes(node))) for node in sorted(set(ops.getConstrainedNodes() or []))
@@ -75,7 +76,7 @@ def follower_motions(
 
 
 def begin_analysis(ops: ModuleType, constraints: str, integrator: str, *parameters: float) -> None:
-    """Set up an analysis of a linear model with dense matrices, replacing the current OpenSees analysis."""
+    """Set up an analysis of a linear model with dense matrices. It replaces the current OpenSees analysis."""
     ops.wipeAnalysis()
     ops.constraints(constraints)
     ops.numberer("Plain")
@@ -103,7 +104,7 @@ def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
 def _displacements(
     ops: ModuleType, directions: Mapping[int, Sequence[str]], n_loads: int, step: float
 ) -> dict[DofName, FloatArray]:
-    """Return the displacement (n_loads,) of each degree of freedom, fixed or free, under random loads."""
+    """Return the displacements (n_loads,) of each degree of freedom, fixed or free, under random loads."""
     rng = np.random.default_rng(0)
     begin_analysis(ops, "Transformation", "Newmark", 0.5, 0.25)
     ops.timeSeries("Constant", _TAG)

@@ -22,7 +22,7 @@ _WORD = re.compile(r"\{(\w+)\}")
 
 
 def wrong_words(key: str, text: str) -> list[ArgumentError]:
-    """Return an error for each unknown placeholder in a text that was given as the argument `key`."""
+    """Return an error for each unknown placeholder in `text`, which was given as the argument `key`."""
     rule = "may have {job} and {deck} in braces"
     return [ArgumentError(key, rule, f"{{{w}}}") for w in _WORD.findall(text) if w not in ("job", "deck")]
 
@@ -64,7 +64,7 @@ class FoundFrequencies:
     def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
         """Return the frequencies in a file, in Hz, shape (n,).
 
-        Raises ValueError if the file cannot be read, the pattern has no match or one that is not a number, or the
+        Raise ValueError if the file cannot be read, the pattern has no match, a match is not a number, or the
         search takes longer than `seconds`.
         """
         wrong = why_no_file(path) or too_large(path, LARGEST_RESULT)
@@ -76,7 +76,10 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return all matches, found in a process that can be killed, because some patterns never terminate."""
+        """Return all matches, found in a separate process, because some patterns never terminate.
+
+        The search runs in a process that can be killed, as some never end.
+        """
         command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
         try:
             done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)

@@ -1,7 +1,7 @@
 """Models that a Python function builds in OpenSees, using openseespy: ``pip install 'fmu[opensees]'``.
 
 ``build(theta)`` creates nodes, supports, elements and masses with openseespy, from ``model(…)`` on; it defines no
-analysis. OpenSees holds one model per process: a model that already exists there is wiped.
+analysis. OpenSees has one model per process, so a model that already exists there is wiped.
 
 Stiffness and mass are the tangent matrices at rest. The integrator GimmeMCK assembles a M + b C + c K, and the
 solver FullGeneral stores this matrix densely:
@@ -148,7 +148,7 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
 def from_opensees(
     build: Build, names: Sequence[str], start: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> SeparableModel:
-    """Fit K(θ) and M(θ) to OpenSees matrices at several θ, and return the model; see `fmu.from_exports`.
+    """Return a model whose K(θ) and M(θ) are fitted to OpenSees matrices at several θ; see `fmu.from_exports`.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def from_opensees(
     Raises
     ------
     ValueError
-        If the matrices are not sums of products of powers of the parameters, or `export_matrices` raises it.
+        If the matrices are not sums of products of parameter powers, or as for `export_matrices`.
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
         if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
@@ -233,7 +233,7 @@ class OpenSeesModel(BlackBoxModel):
         super().__init__(self._describe_run(), len(start), step=step, store=store, name=f"{name} in OpenSees")
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True if a sensor measures a free degree of freedom, or one that is constrained to free ones."""
+        """Return True if a sensor's degree of freedom is free, or follows free ones through a constraint."""
         return self.assembled.sees(sensor)
 
     def at_sensors(self, sensors: Sequence[Dof]) -> OpenSeesModel:
@@ -244,7 +244,7 @@ class OpenSeesModel(BlackBoxModel):
         return ModesInOpenSees(self.build, self.modes, self.sensors)
 
     def configuration(self) -> dict[str, object]:
-        """Return data that identify the model, such as a hash of the source of `build`."""
+        """Return data that identify the model, including a hash of the source of `build`."""
         own = {"modes": self.modes, "sha256": self.sha256}
         return {"function": self.name, "batched": False, "step": self.step, **own}
 
@@ -256,7 +256,7 @@ class OpenSeesModel(BlackBoxModel):
 
 @dataclass(frozen=True)
 class ModesInOpenSees:
-    """Function that returns the modes of an OpenSees model at theta (n_parameters,).
+    """Callable that returns the modes of an OpenSees model at theta (n_parameters,).
 
     Attributes
     ----------
@@ -272,7 +272,7 @@ class ModesInOpenSees:
     sensors: tuple[Dof, ...] = ()
 
     def __call__(self, theta: FloatArray) -> dict[str, object]:
-        """Return a dict of frequencies in Hz, shape (m,), and shapes at the sensors (None without sensors)."""
+        """Return a dict of frequencies in Hz, shape (m,), and shapes at the sensors, or None without sensors."""
         model = export_matrices(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
@@ -291,10 +291,10 @@ _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
 
 @contextmanager
 def _alone(ops: ModuleType) -> Iterator[None]:
-    """In a ``with`` block, provide OpenSees without a model, and write its messages to a file.
+    """Within a ``with`` block, provide OpenSees without a model, and redirect its messages to a file.
 
-    The last messages are added to any ValueError. They are not printed, since OpenSees warns of every singular
-    mass matrix, which is allowed here.
+    The last messages are added to any ValueError. Messages are not printed, because OpenSees warns of every
+    singular mass matrix, which is allowed here.
     """
     with TemporaryDirectory() as folder:
         log = Path(folder) / "log"
@@ -320,9 +320,9 @@ def _openseespy() -> ModuleType:
 
 
 def _followers(ops: ModuleType) -> dict[int, list[int]]:
-    """Return the degrees of freedom (numbered from 1) that follow other nodes, by constrained node.
+    """Return the degrees of freedom (from 1) that follow other nodes, keyed by the constrained node.
 
-    Raises ArgumentError if no degree of freedom is free, which would crash OpenSees.
+    Raise ArgumentError if no degree of freedom is free, because OpenSees would crash.
     """
     followers = {node: ops.getConstrainedDOFs(node) for node in sorted(set(ops.getConstrainedNodes() or []))}
     held = sum(len(ops.getFixedDOFs(node)) for node in ops.getFixedNodes() or [])
@@ -335,8 +335,8 @@ def _followers(ops: ModuleType) -> dict[int, list[int]]:
 def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
     """Assemble the model, and return the equation numbers of each node's degrees of freedom.
 
-    Numbers of fixed degrees of freedom are negative. For nodes that follow others, which need the handler
-    Transformation, the equations of the followed nodes come after the node's own equations.
+    Fixed degrees of freedom have negative numbers. `follows` says whether nodes follow others, which requires the
+    handler Transformation. For such a node, the equations of the followed nodes come after its own equations.
     """
     begin_analysis(ops, "Transformation" if follows else "Plain", "GimmeMCK", 0.0, 0.0, 1.0)
     ops.analyze(1, 0.0)
@@ -348,7 +348,7 @@ def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
 def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.csr_array:
     """Return a sparse matrix of the model, shape (n, n).
 
-    Raises ArgumentError if it is zero, not finite or not symmetric.
+    Raise ArgumentError if it is zero, not finite or not symmetric.
     """
     ops.integrator("GimmeMCK", *factors)
     ops.analyze(1, 0.0)
@@ -367,7 +367,7 @@ def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.
 
 
 def _points(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, list[bool]]:
-    """Return the points at which to assemble matrices, (n, n_parameters), and whether each is for checking.
+    """Return the points at which to assemble matrices, (n, n_parameters), and a list that marks the check points.
 
     The starting point comes first.
     """

@@ -23,7 +23,7 @@ MOST_KEPT = 20
 
 @dataclass(frozen=True)
 class ProgramRun:
-    """Function that runs a program at one theta (n_parameters,) and returns frequencies and shapes.
+    """Callable that runs a program at one theta (n_parameters,) and returns frequencies and shapes.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class ProgramRun:
     store: SolveStore
 
     def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
-        """Return frequencies in Hz, and shapes or None if there is no reader. Raise AnswerError on failure."""
+        """Return frequencies in Hz, and shapes, or None if there is no reader. Raise AnswerError on failure."""
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)
         why = self.run.execute(dict(zip(self.names, theta.tolist(), strict=True)), folder)
@@ -85,7 +85,7 @@ class ProgramRun:
         return frequencies, shapes
 
     def _keep_files(self, reason: str, folder: Path, failed: Path) -> str:
-        """Keep a failed run's files unless many are kept already; return the reason with their folder."""
+        """Save a failed run's files, unless many are saved already; return the reason with their folder added."""
         kept = sum(path.is_dir() for path in failed.parent.glob("*"))
         if kept >= MOST_KEPT and not self.keep:
             shutil.rmtree(folder, ignore_errors=True)

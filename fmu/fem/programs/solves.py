@@ -1,7 +1,7 @@
-"""Solves of a callable, in memory and optionally on disk: the result or failure at each theta, and its time.
+"""Solves of a callable, in memory and optionally on disk: the result or failure at each theta, and its duration.
 
-The callable is a Python function, a run of a program or a model in OpenSees. `Solves` calls it once per theta; no
-other class handles batches, retries, workers and files.
+The callable is a Python function, a program run or an OpenSees model. `Solves` calls it once per theta. No other
+class handles batches, retries, workers or files.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Solves:
         return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}
 
     def of(self, theta: FloatArray) -> list[Solve]:
-        """Return the solves at points theta (n, n_parameters), in order; equal points share a solve."""
+        """Return the solves at points theta (n, n_parameters), in the same order; equal points share a solve."""
         keys = [point.tobytes() for point in theta]
         found = {key: self._known[key] for key in keys if key in self._known}
         missing = {key: i for i, key in enumerate(keys) if key not in found}
@@ -111,14 +111,14 @@ class Solves:
         return [found[key] for key in keys]
 
     def recall(self, theta: FloatArray) -> Solve | None:
-        """Return the solve in memory at theta (n_parameters,), or None, without calling the callable."""
+        """Return the solve at theta (n_parameters,) if it is in memory, otherwise None; nothing is called."""
         return self._known.get(theta.tobytes())
 
     def at_start(self, theta: FloatArray) -> Solve:
-        """Return the solve at a problem's starting point theta (n_parameters,), checking that solves are valid.
+        """Return the solve at a problem's starting point theta (n_parameters,), and check that solves are valid.
 
-        With a store the callable is called there once per process, even if a solve is stored. The stored solve is
-        returned, so that a resumed run gives the same draws; a stored failure is removed. Without a store the
+        With a store, the callable is called there once per process, even if a solve is stored. The stored solve is
+        returned, so that a resumed run gives the same draws. A stored failure is removed. Without a store, the
         callable is called there for every problem. If its result has changed, all solves in memory are removed.
 
         Raises
@@ -153,7 +153,7 @@ class Solves:
         return self._remember(solve)
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return how long a call at theta (n_parameters,) takes in seconds, even if it fails."""
+        """Return the duration in seconds of a call at theta (n_parameters,), even if the call fails."""
         solve = self.recall(theta) or self.of(theta[None])[0]
         if theta.tobytes() == self._first and solve.seconds < self.loading_s:
             self._first = b""
@@ -161,7 +161,7 @@ class Solves:
         return solve.seconds
 
     def note(self, theta: FloatArray, reason: str) -> None:
-        """Append a failure to `reasons`, unless the list is full or contains it already."""
+        """Append a failure to `reasons`, unless the list is full or already contains it."""
         failure = Failure(theta.copy(), _shorten(reason))
         is_new = all(reason != failure.reason or not np.array_equal(at, theta) for at, reason in self.reasons)
         if len(self.reasons) < MOST_REASONS and is_new:
@@ -169,7 +169,7 @@ class Solves:
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
-        """In a ``with`` block, solve at several theta in parallel in an engine's workers.
+        """Within a ``with`` block, solve at several theta in parallel in an engine's workers.
 
         The solves and their order are the same as without an engine. A theta that crashes its process three times
         counts as failed. A batched callable receives all theta in one call in the calling process.
@@ -181,7 +181,7 @@ class Solves:
             self._engine = before
 
     def make(self, theta: FloatArray) -> Solve:
-        """Return the solve at theta (n_parameters,), from the store or by a call, without storing it in memory."""
+        """Return the solve at theta (n_parameters,), from the store or from a call. It is not stored in memory."""
         return self._look_up_or_call(theta[None])[0]
 
     def repeat(self, theta: FloatArray) -> Solve:
@@ -190,7 +190,7 @@ class Solves:
             return self._call_at(theta[None], keep=False)[0]
 
     def _make_all(self, theta: FloatArray) -> Iterator[Solve]:
-        """Yield the solves at points (n, n_parameters), made in one batch, by the engine or one by one."""
+        """Yield the solves at points (n, n_parameters), made in one batch, by an engine, or one by one."""
         if self.batched and len(theta) > 1:
             together = self._look_up_or_call(theta)
             if together:
@@ -203,7 +203,10 @@ class Solves:
             yield one
 
     def _spread(self, theta: FloatArray, engine: Engine) -> list[Solve]:
-        """Return the solves at points (n, n_parameters), made by workers; a point that crashes them has failed."""
+        """Return the solves at points (n, n_parameters), made by workers.
+
+        A point that crashes its worker is a failure.
+        """
         found: dict[int, Solve] = {}
         while len(found) < len(theta):
             missing = [i for i in range(len(theta)) if i not in found]
@@ -220,7 +223,7 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up_or_call(self, theta: FloatArray) -> list[Solve]:
-        """Return the solves at points (n, n_parameters), making one call for all points that are not stored.
+        """Return the solves at points (n, n_parameters). All points that are not stored are solved in one call.
 
         The list is empty if that call fails for several points.
         """
@@ -238,7 +241,7 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up(self, theta: FloatArray) -> dict[int, Solve]:
-        """Return the stored solves among points (n, n_parameters), by point index."""
+        """Return the stored solves at points (n, n_parameters), keyed by point index."""
         if self.store is None or not self._keeps:
             return {}
         found = {i: solve for i, point in enumerate(theta) if (solve := self.store.find(point)) is not None}
@@ -248,7 +251,7 @@ class Solves:
 
     @contextmanager
     def _lock(self, theta: FloatArray) -> Iterator[None]:
-        """In a ``with`` block, keep other processes from solving the same points (n, n_parameters)."""
+        """Within a ``with`` block, prevent other processes from solving the same points (n, n_parameters)."""
         with ExitStack() as stack:
             if self.store is not None and self._keeps:
                 try:
@@ -258,10 +261,10 @@ class Solves:
             yield
 
     def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
-        """Call the callable at points (n, n_parameters), and return the solves; slow ones are stored if `keep`.
+        """Call the callable at points (n, n_parameters), and return the solves.
 
-        n is 1 unless the callable is batched. The list is empty if the call fails for several points, because the
-        point at fault is then unknown.
+        If `keep`, write slow ones to disk. n is 1 unless the callable is batched. The list is empty if the call
+        fails for several points, because the point at fault is then unknown.
         """
         if self._first is None:
             self._first = theta[0].tobytes()
@@ -311,7 +314,10 @@ class Solves:
         warnings.warn(f"store: solves cannot be kept in {where} ({error})", stacklevel=2)
 
     def _remember(self, solve: Solve) -> Solve:
-        """Store a solve in memory, replacing any earlier one at its theta; remove the oldest to make room."""
+        """Store a solve in memory in place of any earlier one at its theta.
+
+        Remove the oldest solves to make room.
+        """
         if len(solve.reason) > _LONGEST:
             solve = solve._replace(reason=_shorten(solve.reason))
         key = solve.theta.tobytes()
@@ -337,7 +343,7 @@ def _size(solve: Solve) -> int:
 
 
 def _is_same(one: Solve, other: Solve) -> bool:
-    """Return True if two solves have equal frequencies, shapes and gradients, to the last bit."""
+    """Return True if two solves have bitwise equal frequencies, shapes and gradients."""
     pairs = ((one.frequencies, other.frequencies), (one.shapes, other.shapes), (one.gradient, other.gradient))
     return all((a is b is None) or np.array_equal(a, b, equal_nan=True) for a, b in pairs)  # type: ignore[arg-type]
 

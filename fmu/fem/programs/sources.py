@@ -3,8 +3,8 @@
 All import statements in these files are parsed, and no code is run. The result is therefore the same in every
 process, and does not depend on imports that happen during a call. The user's own modules are the modules of the
 function's package, and all modules that belong neither to Python nor to an installed package. These may be next to
-the function, on the path, or in a package that was installed in editable mode. Changes in installed packages, in
-modules that no statement names (``importlib.import_module(name)``) and in data files are not detected.
+the function's file, on the path, or in a package that was installed in editable mode. Changes are not detected in
+installed packages, in modules that no statement names (``importlib.import_module(name)``), or in data files.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
     Parameters
     ----------
     file : Path
-        Source of the module.
+        The module's source file.
     name : str
-        Full name of the module. If it does not agree with the file, the module is assumed to be in no package.
+        Full name of the module. If it does not match the file, the module is assumed to be in no package.
 
     Returns
     -------
     dict of str to Path
-        File of each module, by full module name. The given module is not included.
+        The modules' files, keyed by full module name. The given module is not included.
     """
     path, parts = file.parent if file.stem == "__init__" else file.with_suffix(""), name.split(".")
     if path.parts[-len(parts) :] != tuple(parts):
@@ -80,7 +80,7 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
 
 
 def _imports(file: Path, module: str) -> Iterator[str]:
-    """Yield the full names that a module imports: modules, and attributes that may be submodules of a package."""
+    """Yield the full names that a module imports: modules, and names that may be submodules of a package."""
     if file.suffix != ".py":
         return
     package = module if file.stem == "__init__" else module.rpartition(".")[0]
@@ -100,7 +100,7 @@ def _imports(file: Path, module: str) -> Iterator[str]:
 def _locate_source(name: str, root: Path) -> list[tuple[str, Path]]:
     """Return the full name and source file of a module and of each package that contains it.
 
-    They are searched for in the folder `root`, from which the function was imported, then on the path. Names
+    The search starts in the folder `root`, from which the function was imported, and continues on the path. Names
     without a source file are skipped.
     """
     found, within = [], [str(root)]

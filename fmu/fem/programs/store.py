@@ -1,6 +1,6 @@
 """Disk storage for the solves of a slow program: a small file per theta, written atomically.
 
-Any number of processes can share a store. Each theta is solved by one process, for which other processes wait::
+Any number of processes can share a store. Each theta is solved by one process, and the others wait for it::
 
     for solve in SolveStore(folder):
         print(solve.theta, solve.frequencies, solve.seconds, solve.reason)
@@ -77,7 +77,7 @@ class SolveStore:
     ----------
     folder : Path
         Folder of the store, created when the first solve is stored. Failures are in its subfolder ``failed``;
-        delete that to have them solved again.
+        delete that subfolder to have them solved again.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -108,10 +108,10 @@ class SolveStore:
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[None]:
-        """In a ``with`` block, hold the lock on theta, waiting for it first, so that no other process solves it.
+        """Within a ``with`` block, hold a lock so that no other process solves theta; first wait for the lock.
 
-        theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. The operating system
-        releases the lock of a process that dies.
+        theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. If a process dies, the
+        operating system releases its lock.
         """
         path = self.running_folder(theta).with_suffix(".lock")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,7 +121,10 @@ class SolveStore:
                 path.unlink()
 
     def running_folder(self, theta: FloatArray) -> Path:
-        """Return the folder in which the program runs for this theta. Hold the lock from `only_one` to use it."""
+        """Return the folder in which the program runs for this theta.
+
+        Use it only with the lock from `only_one`.
+        """
         return self.folder / RUNNING / self._paths(theta)[0].stem
 
     def failed_folder(self, theta: FloatArray) -> Path:
@@ -133,7 +136,9 @@ class SolveStore:
         self._paths(theta)[1].unlink(missing_ok=True)
 
     def check(self, stored: Solve, frequencies: FloatArray, shapes: FloatArray | None) -> None:
-        """Compare a stored solve with a new one at the same theta: frequencies (n_modes,) in Hz, and shapes.
+        """Check that a stored solve agrees with a new one at the same theta.
+
+        The new solve has `frequencies` (n_modes,) in Hz, and `shapes` or None.
 
         Raises
         ------
@@ -182,8 +187,8 @@ class SolveStore:
 def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
     """Return the largest relative difference in frequency, or NaN if a frequency is NaN in only one array.
 
-    Differences are relative to the stored frequency, but to no less than a hundredth of the highest one, since
-    low frequencies may belong to rigid-body modes.
+    Differences are divided by the stored frequency, or by a hundredth of the highest frequency if that is larger,
+    because low frequencies may belong to rigid-body modes.
     """
     least = 0.01 * np.nanmax(stored, initial=0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -193,10 +198,11 @@ def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
 
 
 def _shapes_apart(frequencies: FloatArray, stored: FloatArray, given: FloatArray) -> float:
-    """Return the largest sin² between a shape and the span of the stored shapes with close frequencies.
+    """Return the largest sin² of the angle between a new shape and the stored shapes with close frequencies.
 
     Both arrays have shape (n_sensors, n_modes). Modes whose frequencies differ by at most 1 % of the highest
-    frequency may mix. Shapes that are zero at the sensors are not compared. Returns 1 if the NaN entries differ.
+    frequency may mix, so each shape is compared with their span. Shapes that are zero at the sensors are not
+    compared. Return 1 if the two arrays have NaN in different places.
     """
     if not np.array_equal(np.isnan(given), np.isnan(stored)):
         return 1.0

@@ -1,4 +1,4 @@
-"""Anchor points: points in a parameter box at which K is factorised, and which bound K elsewhere in the box.
+"""Anchor points in a parameter box: K is factorised there, and bounded elsewhere in the box by its values there.
 
 If every term K_k is positive semidefinite, then
 
@@ -40,7 +40,7 @@ NO_MODES = "the eigenproblem of K and M has no solution"
 
 
 class SingularAnchorError(ValueError):
-    """Raised for a singular K + s M: some displacement has neither stiffness nor mass, or has negative mass.
+    """Raised if K + s M is singular: some displacement has neither stiffness nor mass, or has negative mass.
 
     Attributes
     ----------
@@ -54,14 +54,15 @@ class SingularAnchorError(ValueError):
 
 
 class Far(NamedTuple):
-    """A point so far from every anchor point that errors are not bounded well there.
+    """A point so far from every anchor point that error bounds are poor there.
 
     Attributes
     ----------
     theta : ndarray, shape (n_parameters,)
         The point.
     parameter : int
-        Index of the parameter mainly responsible: resetting it to its value at the first anchor point helps most.
+        Index of the parameter that contributes most: resetting it to its value at the first anchor point helps
+        most.
     value : float
         Value of this parameter beyond which the point is far, found by bisection.
     is_above : bool
@@ -124,7 +125,7 @@ class Anchors:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without the factors, which cannot be pickled, and the first matrix."""
+        """Return the state for pickling. It omits the factors, which cannot be pickled, and the first matrix."""
         return {name: value for name, value in self.__dict__.items() if name != "first"} | {"_factors": {}}
 
     @property
@@ -172,7 +173,8 @@ class Anchors:
         """Return (K + s M)⁻¹ b at anchor point `a`, for b of shape (n_dof, m).
 
         For a large block the columns are solved in strips, by the workers of its engine if there is one
-        (`FullBlock.spread_over`). Each worker has its own factors. No bit of the result depends on the engine.
+        (`FullBlock.spread_over`). Each worker has its own factors. The result is bitwise independent of the
+        engine.
         """
         if self.block.size < LARGE or loads.shape[1] <= _STRIP:
             return self.factor(a).solve(loads)
@@ -184,9 +186,9 @@ class Anchors:
         return self.block.run_tasks(work, self, tasks, sum(of.n_bytes for of in self._factors.values()))
 
     def _kept_factor(self, a: int) -> Factor | None:
-        """Return the factors of a large, clearly definite K, possibly stored by the block since its last solve.
+        """Return the factors of a large, clearly definite K, or None for any other K.
 
-        Returns None for any other K.
+        They are reused if the block still has them from its last solve.
         """
         if self.shift or self.block.size < LARGE:
             return None
@@ -195,7 +197,7 @@ class Anchors:
         return self._factors.get(a)
 
     def modes(self, count: int) -> Space:
-        """Return the space spanned by full-model modes at all anchor points: the lowest `count` and a few more."""
+        """Return the space of the full model's lowest `count` modes, and a few more, at all anchor points."""
         if self._modes is None or self._modes.size < count:
             space = Space.empty(self.block, self.shift)
             for at in self.theta:
@@ -208,10 +210,10 @@ class Anchors:
         return self._modes
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
-        """Return the index (n,) of the best bounding anchor point at each theta (n, p), and its factor α (n,).
+        """Return the index (n,) of the anchor point with the best bound at each theta (n, p), and its α (n,).
 
-        The bound is K + s M ≥ α (K̄ + s M̄) with the matrices at the anchor point. α is not positive where no
-        anchor point gives a bound.
+        The bound is K + s M ≥ α (K̄ + s M̄), where the bar marks the anchor point. If no anchor point gives a
+        bound, α is not positive.
         """
         low, tight = self._tight(theta)
         best = np.argmax(tight, axis=0)
@@ -219,9 +221,9 @@ class Anchors:
         return best, alpha if self.proven else self._estimate_alpha(theta, best, space)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return γ (n,) such that K + s M at theta (n, p) is at most γ times K + s M at the first anchor point.
+        """Return γ (n,) for which K + s M at theta (n, p) is at most γ times K + s M at the first anchor point.
 
-        γ is infinite if the bound is not `proven`.
+        γ is infinite unless the bound is `proven`.
         """
         if not self.proven:
             return np.full(len(theta), np.inf)
@@ -287,10 +289,11 @@ def _solve_there(anchors: Anchors, task: tuple[int, FloatArray], _: object) -> F
 
 
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return anchor points (n_anchors, p): the middle of a box, or of its parts if a stiffness varies much.
+    """Return anchor points (n_anchors, p): the middle of the box, and of its parts if a stiffness varies much.
 
-    A part is divided along the parameter with the largest ratio between its bounds, if that exceeds `_WIDE`, until
-    there are `_MOST` anchor points. Parameters that change no stiffness are not divided.
+    Each part is divided along the parameter with the largest ratio between its bounds, as long as that ratio
+    exceeds `_WIDE` and there are fewer than `_MOST` anchor points. Parameters that change no stiffness are not
+    divided.
     """
     varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
     anchors, parts = [_middle(lower, upper)], [(lower, upper)]
@@ -316,6 +319,6 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
 
 
 def _middle(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the middle (p,) of the bounds: their geometric mean if upper > 2 lower > 0, otherwise arithmetic."""
+    """Return the middle (p,) of the bounds: the geometric mean if upper > 2 lower > 0, otherwise arithmetic."""
     with np.errstate(invalid="ignore"):
         return np.where((lower > 0.0) & (upper > 2.0 * lower), np.sqrt(lower * upper), 0.5 * (lower + upper))

@@ -1,11 +1,11 @@
 """The parametric reduced basis: one fixed basis for every theta in a parameter box.
 
-K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta in a box lie close to a space of
+K(theta) and M(theta) are sums of fixed matrices, so the modes at all theta in a box lie close to a space of
 few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition to a basis that is
 orthonormal in the mass matrix at the box's centre. Every term is projected onto the basis once. A solve is then a
 dense eigenproblem of order 10 to 50, whatever the size of the structure. A batch of solves is one call to NumPy's
 batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
-chapter 6). By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
+chapter 6). By Rayleigh's principle the reduced eigenvalues are never below the exact ones.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ReducedBlock(Block):
     basis : ndarray, shape (block.size, r)
         Basis vectors, orthonormal in the mass matrix at the box's centre.
     n_trained : int
-        Number of lowest modes that the basis was trained for.
+        Number of lowest modes for which the basis was trained.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class ReducedBlock(Block):
     (K + s M) x is solved, with λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`). The shift s = tr K/tr M makes
     K + s M definite for a free structure too.
 
-    Every operation treats each theta separately, elementwise or in one small LAPACK or BLAS call per theta. No bit
-    of a result therefore depends on the rest of the batch.
+    Every operation treats each theta separately, elementwise or in one small LAPACK or BLAS call per theta. Each
+    result is therefore bitwise independent of the rest of the batch.
     """
 
     is_reduced: ClassVar[Literal[True]] = True
@@ -73,7 +73,7 @@ class ReducedBlock(Block):
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without arrays that are only views of the projected terms."""
+        """Return the state for pickling. It omits arrays that are only views of the projected terms."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -96,7 +96,7 @@ class ReducedBlock(Block):
     def coarser(self, share: float) -> Self:
         """Return the block with the leading fraction `share` of its basis, or itself if no vector is removed.
 
-        At least `n_trained` vectors remain. A basis with as many vectors as degrees of freedom is never reduced.
+        At least `n_trained` vectors remain. A basis with as many vectors as degrees of freedom is not truncated.
         """
         few = max(self.n_trained, math.ceil(share * self.size))
         return self.truncate(few) if few < self.size < len(self.dofs) else self
@@ -112,7 +112,7 @@ class ReducedBlock(Block):
         return row_by_row(_values, A)[0][:, :count]
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis, or NaN on failure."""
+        """Return eigenvalues (n, count) and M-normalised shapes in the basis, (n, r, count); NaN on failure."""
         A = assemble(self._K, self._K_map.coefficients(theta))
         few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
@@ -133,7 +133,7 @@ class ReducedBlock(Block):
         return assemble(self._K, K), assemble(self._M, M)
 
     def changes(self, theta: FloatArray, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return modal products φᵀ ∂K φ and φᵀ ∂M φ of shapes (n, r, m), (n, n_parameters, m, m) each."""
+        """Return the modal products φᵀ ∂K φ and φᵀ ∂M φ for shapes φ (n, r, m), each (n, n_parameters, m, m)."""
         m = phi.shape[2]
         both = (
             self._slopes(theta, coefficient, rows, phi, m)

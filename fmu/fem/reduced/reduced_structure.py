@@ -127,7 +127,7 @@ class ReducedStructure(Approximation):
         return self._answer(self._solve, self._truth.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies and shapes at the sensors for theta (n, n_parameters).
+        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
 
         Derivatives are included if `gradient`.
         """
@@ -136,7 +136,7 @@ class ReducedStructure(Approximation):
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all candidates for pairing with the measured modes at theta (n, n_parameters).
 
-        They have derivatives if `gradient`. The pairing must be by shape, soft or not.
+        Derivatives are included if `gradient`. Requires a pairing by shape, which may be soft.
         """
         return self._answer(self.cheap.choose, self._truth.choose, theta, gradient)
 
