@@ -167,12 +167,13 @@ class ModalLikelihood(Likelihood):
         return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return all errors divided by their standard deviations (the residuals), and their derivatives.
-
-        The residuals have the shape (n, n_residuals), the derivatives (n, n_residuals, n_structural). Gauss–Newton
-        steps and the data's linearised information use them. Inferred standard deviations stay fixed.
-        """
+        """Return residuals (n, n_residuals), over sds of errors, and slopes (n, n_residuals, n_structural)."""
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
+
+    def terms_and_residuals(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the `terms` and the `residuals_and_slopes` at theta (n, ndim) from the same solves."""
+        seen = self._observed_slopes(theta, None)
+        return self.terms_of_observed(seen, theta), *self._all_residuals_and_slopes(seen, theta, None)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return the residuals' names in the order of `residuals_and_slopes`, given the names of the modes."""

@@ -7,6 +7,7 @@ from scipy.special import logsumexp
 
 import fmu
 from fmu.analysis.convergence.rank_statistics import chain_ess
+from fmu.posterior.joint.conditional.scores import REGULAR
 from fmu.posterior.joint.varies.base import sum_by_test
 from tests.posterior.joint.conditional.test_conditional_densities import campaign
 from tests.shear_building import frequencies_hz, shear_building, two_frequencies_hz
@@ -195,6 +196,61 @@ def test_scores_on_a_bent_ridge_have_their_density():
         by_chain = (drawn**power).mean(axis=0)
         error = by_chain.std(axis=0) / np.sqrt(len(theta))
         assert np.max(np.abs(by_chain.mean(axis=0) - expected) / error) < 5.0, power
+
+
+def test_scores_with_two_solutions_have_their_density():
+    """Both (k1, k2) and (2 k2, k1/2) have the two measured frequencies; the exact shares are summed on a grid."""
+    model = shear_building(["k1", "k2"], 2e8, 1e5)
+    f = [frequencies_hz(model, one)[0] for one in ([2.3, 1.0], [2.2, 1.0], [2.1, 1.0], [2.4, 1.1])]
+    problem = fmu.JointProblem(
+        model,
+        [fmu.Test(f"t{t}", fmu.ModalData(one)) for t, one in enumerate(f)],
+        [fmu.Parameter("k1", 2.0, 0.3, 8.0), fmu.Parameter("k2", 1.0, 0.2, 4.0)],
+        varies={name: fmu.Population("log-normal", sd=fmu.HalfNormal(0.2)) for name in ("k1", "k2")},
+        error=fmu.FrequencyErrors("relative", sd=0.005),
+        pairing="index",
+    )
+    kernel, rng = fmu.GibbsSampler(step_size=0.4).bind(problem), np.random.default_rng(7)
+    assert kernel.follows_ridges
+    of = kernel.conditionals.scores
+    theta = np.repeat(kernel.conditionals.typical, 300, axis=0)
+    theta[:, :4] = 2.2, 0.1, 1.1, 0.1  # medians and standard deviations, between the two solutions
+    z = np.stack(np.meshgrid(*[np.linspace(-4.5, 4.5, 451)] * 2, indexing="ij"), axis=2).reshape(-1, 1, 2)
+    k = np.array([2.2, 1.1]) * np.exp(0.1 * z)
+    error = two_frequencies_hz(2e8 * k[:, 0], (1e5, 1e5))[:, None] / np.array(f) - 1.0
+    weight = np.exp(-0.5 * np.sum((error / 0.005) ** 2, axis=2) - 0.5 * np.sum(z**2, axis=2))
+
+    def side_and_distance(values):
+        ratio = np.log(0.5 * values[..., 0] / values[..., 1])
+        return np.stack([ratio < 0.0, np.abs(ratio)], axis=-1)
+
+    expected = np.einsum("gt,gq->tq", weight / weight.sum(axis=0), side_and_distance(k[:, 0]))
+    kept, terms, linear = [], problem.likelihood.terms(of.layout.of_model(theta)), of.linearise(theta)
+    for step in range(60):
+        theta, terms, _ = kernel._move_along_ridges(rng, theta, terms, linear, REGULAR)
+        if step >= 20:
+            kept.append(side_and_distance(of.layout.values(theta[:, : problem.n_structural])))
+    found = np.mean(kept, axis=0)
+    assert np.all(np.abs(found.mean(axis=0) - expected) < 4.5 * found.std(axis=0) / np.sqrt(len(theta)))
+    assert np.all(found[..., 0].std(axis=0) < 0.3)  # 0.5 if every chain keeps to one solution
+
+
+def test_a_test_with_a_known_parameter_has_scores_of_the_right_width():
+    """Without information from the data, the scores keep the standard normal distribution they start from."""
+    problem = campaign(noise=100.0, bounds=(0.2, 5.0))
+    kernel, rng = fmu.GibbsSampler(step_size=0.4).bind(problem), np.random.default_rng(3)
+    of, kept = kernel.conditionals.scores, []
+    assert not of.scores.scored.all()
+    theta = np.repeat(kernel.conditionals.typical, 3000, axis=0)
+    theta = of.scores.put(theta, rng.standard_normal((len(theta), *of.scores.scored.shape)))
+    terms, linear = problem.likelihood.terms(of.layout.of_model(theta)), of.linearise(theta)
+    for step in range(12):
+        theta, terms, _ = kernel._move_scores(rng, theta, terms, linear)
+        if step >= 4:
+            kept.append(of.scores.take(theta) ** 2)
+    by_chain = np.mean(kept, axis=0)
+    error = by_chain.std(axis=0)[of.scores.scored] / np.sqrt(len(theta))
+    assert np.max(np.abs(by_chain.mean(axis=0)[of.scores.scored] - 1.0) / error) < 4.5
 
 
 def test_log_probability_of_the_draws_is_stored():

@@ -240,5 +240,6 @@ def _bend(
     at = straight.scores.put(theta, normal.mean)[:, : len(plain.layout.parameters)]
     slopes = np.stack([one.slope(at)[0] for one in straight.scores.every], axis=1)
     found = find_bend(gradient, normal.mean[0], precision, np.where(normal.scored, slopes, 1.0))
-    is_bent = np.all(np.isfinite(found.curvature)) and np.max(np.abs(found.curvature)) > _BENT
-    return ScoresGivenMain(straight.layout, straight.expansion, found) if is_bent else straight
+    curvature = float(np.max(np.abs(found.curvature)))
+    bend = found if np.isfinite(curvature) and curvature > _BENT else None
+    return ScoresGivenMain(straight.layout, straight.expansion, bend, curvature)

@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.bend import Bend, Curve
 from fmu.posterior.joint.conditional.expansion import Expansion
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.varies.base import InTests, Slope
+from fmu.posterior.joint.varies.base import InTests, Slope, sum_by_test
 from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -195,6 +196,17 @@ class Normal(NamedTuple):
         """Transform standard normal numbers u to scores, shape (n, n_tests, p); the inverse of `standardise`."""
         return self.bend(self.mean + self.scatter(u))
 
+    def select(self, chosen: BoolArray, other: Normal) -> Normal:
+        """Return these distributions for the tests that are `chosen`, (n, n_tests), and `other` for the rest."""
+        mean = np.where(chosen[..., None], self.mean, other.mean)
+        factor = np.where(chosen[..., None, None], self.factor, other.factor)
+        return self._replace(mean=mean, factor=factor)
+
+    @property
+    def log_det_factor(self) -> FloatArray:
+        """Log-determinant of `factor`, (n, n_tests)."""
+        return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
+
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
         """Return the log-density of each test's straightened scores z, shape (n, n_tests), up to a constant.
 
@@ -218,10 +230,15 @@ class ScoresGivenMain:
     expansion : Expansion
     bend : Bend, optional
         Parabolas along which the score densities are curved; if it is None, the ridges are straight.
+    curvature : float
+        Largest coefficient of the parabolas of all tests, also if `bend` is None.
     """
 
-    def __init__(self, layout: Layout, expansion: Expansion, bend: Bend | None = None) -> None:
-        self.layout, self.expansion, self.scores, self.bend = layout, expansion, Scores.of(layout), bend
+    def __init__(
+        self, layout: Layout, expansion: Expansion, bend: Bend | None = None, curvature: float = 0.0
+    ) -> None:
+        self.layout, self.expansion, self.scores = layout, expansion, Scores.of(layout)
+        self.bend, self.curvature = bend, curvature
 
     def log_prior(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
         """Return the log-prior of each test's scores given main parameters and `scales`, shape (n, n_tests).
@@ -260,11 +277,7 @@ class ScoresGivenMain:
         gradient = weight * (known.slope - turned)
         precision = known.information[..., numbers[:, None], numbers] * slopes[..., :, None] * slopes[..., None, :]
         precision = weight[..., None] * precision
-        of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
-        if self.layout.correlation is not None:
-            of_prior = of_prior + self.layout.correlation.precision(of)
-        if scales is not REGULAR:
-            of_prior = of_prior / (scales[..., :, None] * scales[..., None, :])
+        of_prior = self._precision_of_prior(of, scales, precision.shape)
         pull = np.einsum("ntij,ntj->nti", of_prior, z)
         total = slopes * gradient[:, :, numbers] - pull
         value = value - 0.5 * np.einsum("nti,nti->nt", z, pull)
@@ -275,6 +288,36 @@ class ScoresGivenMain:
         return Linear(
             at, z, slopes, step, value, gradient, known.information, weight, factor, inverse, of_prior, scales
         )
+
+    def _precision_of_prior(self, of: FloatArray, scales: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """Return `Linear.of_prior`, of the given shape, at the parameters `of` the layout, (n, n_parameters)."""
+        found = np.broadcast_to(np.eye(shape[-1]), shape)
+        if self.layout.correlation is not None:
+            found = found + self.layout.correlation.precision(of)
+        return found if scales is REGULAR else found / (scales[..., :, None] * scales[..., None, :])
+
+    def approximate_here(
+        self, theta: FloatArray, likelihood: ModalLikelihood, scales: FloatArray = REGULAR
+    ) -> tuple[Normal, FloatArray]:
+        """Return the normal approximations with the gradients of the densities at the scores of theta, (n, ndim).
+
+        The mean is where a Gauss–Newton step from these scores leads. The terms of the likelihood, (n, n_terms),
+        come from the same solve. A test whose solve failed has standard normal distributions about its scores.
+        `scales` is as in `Linear`.
+        """
+        of, z, own = self.scores, self.scores.take(theta), theta[:, : len(self.layout.parameters)]
+        terms, r, J = likelihood.terms_and_residuals(self.layout.of_model(theta))
+        test, n_tests = likelihood.test_of_residuals, z.shape[1]
+        slopes = np.where(of.scored, np.stack([one.slope(own) for one in of.every], axis=2), 0.0)
+        J = J[..., of.parameters] * slopes[:, test]
+        precision = sum_by_test(J[..., :, None] * J[..., None, :], test, n_tests)
+        of_prior = self._precision_of_prior(own, scales, precision.shape)
+        gradient = -sum_by_test(J * r[..., None], test, n_tests) - np.einsum("ntij,ntj->nti", of_prior, z)
+        precision = precision + of_prior
+        finite = np.isfinite(gradient).all(axis=2) & np.isfinite(precision).all(axis=(2, 3))
+        precision = np.where(finite[..., None, None], precision, np.eye(z.shape[2]))
+        step = np.linalg.solve(precision, np.where(finite[..., None], gradient, 0.0)[..., None])[..., 0]
+        return Normal(z + step, np.linalg.cholesky(precision), of.scored, None), terms
 
     def log_evidence(self, linear: Linear) -> FloatArray:
         """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.

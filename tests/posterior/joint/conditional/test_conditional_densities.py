@@ -178,3 +178,19 @@ def test_expansion_is_weighed_exactly_where_one_deviation_belongs_to_all_errors(
     assert_allclose(weight, 1.7**-2)
     assert_allclose(weight[0, :, :, None] * before.information, after.information, rtol=1e-9, atol=1e-9)
     assert_allclose(weight[0] * before.slope, after.slope, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("settings", [{}, {"correlation": 2.0}], ids=["independent", "correlated"])
+def test_an_approximation_about_the_present_scores_has_the_gradient_there(settings):
+    problem = campaign("log-normal", bounds=(0.2, 5.0), **settings)
+    plain, given = problem.with_layout(problem.layout.remove_centring()), conditionals(problem).scores
+    theta = np.repeat(conditionals(problem).typical, 2, axis=0)
+    z = given.scores.take(theta) + np.random.default_rng(4).standard_normal((2, N, P))
+    theta = given.scores.put(theta, z)
+    normal, terms = given.approximate_here(theta, problem.likelihood)
+    assert_allclose(terms, problem.likelihood.terms(given.layout.of_model(theta)), rtol=1e-9)
+    precision = normal.factor @ np.swapaxes(normal.factor, 2, 3)
+    gradient = np.einsum("ntij,ntj->nti", precision, normal.mean - given.scores.take(theta))
+    of_joint = given.scores.take(plain.log_prob_and_grad(theta)[1])
+    assert_allclose(gradient, of_joint, rtol=1e-7, atol=1e-7 * np.max(np.abs(of_joint)))
+    assert_allclose(normal.log_det_factor, 0.5 * np.linalg.slogdet(precision)[1], rtol=1e-9, atol=1e-9)
