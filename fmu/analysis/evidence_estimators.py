@@ -36,10 +36,10 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 
 
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
-    """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
+    """Return the log-evidence and its standard error, estimated by the optimal bridge (Meng & Wong 1996).
 
     The standard error follows Frühwirth-Schnatter (2004), with one change: the number of posterior draws is
-    replaced by the ESS of their contributions, but at most by `ratio` times their number.
+    replaced by the ESS of their contributions or, if this is smaller, by `ratio` times their number.
 
     Parameters
     ----------

@@ -122,7 +122,10 @@ class Information:
         return said + [f"{one.replace('the combination', 'The combination', 1)}." for one in self.warnings()]
 
     def table(self) -> pd.DataFrame:
-        """Return a table of ``contraction``, ``of_logarithm``, ``informed`` and ``determined_by`` by parameter."""
+        """Return a table with one row per parameter.
+
+        The columns are ``contraction``, ``of_logarithm``, ``informed`` and ``determined_by``.
+        """
         columns = {
             "contraction": self.contraction,
             "of_logarithm": self.of_logarithm,
@@ -308,11 +311,12 @@ def information_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool, ...]]:
-    """Return posterior and prior draws in prior standard deviations from the prior mean, each (n, ndim).
+    """Return posterior draws, prior draws, and whether each parameter was replaced by its logarithm.
 
-    The third value is a tuple of bool: whether the logarithm of each parameter is used, as for a log-normal prior.
-    Normal scores are not used, because they stretch the range next to a bound where the prior density is positive:
-    draws confined to the 1 % of the range at the bound would have 35 % of the prior's standard deviation.
+    The draws, (n, ndim), are distances from the prior mean in prior standard deviations. The logarithm is used for
+    a log-normal prior. Normal scores are not used, because they stretch the range next to a bound where the prior
+    density is positive: draws confined to the 1 % of the range at the bound would have 35 % of the prior's
+    standard deviation.
     """
     names = parameter_names(trace)
     x = parameter_draws(trace).reshape(-1, len(names))

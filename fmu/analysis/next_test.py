@@ -203,7 +203,7 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
 
 
 def _times(problem: UpdatingProblem) -> set[str]:
-    """Return the names of covariates that give the test times, which correlation in time needs."""
+    """Return the names of the covariates that give the tests' times, if values are correlated in time."""
     return set() if problem.layout.in_time is None else problem.layout.in_time.times
 
 

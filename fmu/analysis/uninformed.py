@@ -117,7 +117,10 @@ class Pair(NamedTuple):
     words: str
 
     def sentence(self, is_separated: bool) -> str:
-        """Return a sentence that says whether the data separate the two parameters, with the figures."""
+        """Return a sentence that says whether the data separate the two parameters, and why.
+
+        It quotes `change` and `remaining_sd`.
+        """
         names = names_in_words(self.names)
         first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"
         left = share(min(self.remaining_sd, 1.0))

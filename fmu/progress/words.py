@@ -23,7 +23,10 @@ _PREFIXES = ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
 def bar_name(phase: str, info: Info) -> str:
-    """Return the name of a bar, such as ``hmc draws 1/2``: the label and group, if any, around the phase."""
+    """Return the name of a bar: the phase, preceded by the label and followed by the group, if there are any.
+
+    For example ``hmc draws 1/2``.
+    """
     return " ".join(str(part) for part in (info.get("label"), phase, info.get("group")) if part)
 
 

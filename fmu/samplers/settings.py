@@ -134,7 +134,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the usual number of solves that one step of all chains takes in warm-up, and the number after it.
+    """Return the usual numbers of solves that one step of all chains takes, in warm-up and after it.
 
     The numbers are means over the built-in cases.
     """

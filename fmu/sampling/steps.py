@@ -268,7 +268,7 @@ def _as_trace(
 
 
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
-    """Open the checkpoint of a run."""
+    """Open the checkpoint of a run, and return its store."""
     from fmu.analysis.trace.densities import names_of, units_of
     from fmu.analysis.trace.provenance import describe_inputs
     from fmu.runs.identity import Identity

@@ -1,4 +1,4 @@
-"""`fmu.surrogate`, which replaces a problem's slow model by Gaussian processes, with a certificate."""
+"""`fmu.surrogate`, which replaces a problem's slow model by Gaussian processes and certifies their error."""
 
 from __future__ import annotations
 

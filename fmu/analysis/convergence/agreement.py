@@ -1,4 +1,4 @@
-"""Compare the posterior means and standard deviations of several samplers, in Monte-Carlo standard errors."""
+"""Compare the posterior means and standard deviations of several samplers, relative to their standard errors."""
 
 from __future__ import annotations
 
@@ -91,6 +91,9 @@ def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
 
 
 def _estimates(trace: xr.DataTree, table: pd.DataFrame) -> tuple[FloatArray, FloatArray]:
-    """Return the means and standard deviations, and their standard errors; both have shape (2, ndim)."""
+    """Return each parameter's posterior mean and standard deviation, and their Monte-Carlo standard errors.
+
+    Both arrays have shape (2, ndim).
+    """
     errors = [mcse_sd(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]
     return table[["mean", "sd"]].to_numpy().T, np.array([table["mcse_mean"].to_numpy(), errors])

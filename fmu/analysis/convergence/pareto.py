@@ -46,7 +46,7 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Return a clause that says that the candidate weights' Pareto k is too large, or an empty string."""
+    """Return a clause if the candidate weights' Pareto k is too large, otherwise an empty string."""
     if k <= GOOD_K:
         return ""
     return (

@@ -113,12 +113,12 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """Sentences of the failed checks, those that name a cause first, then the least probable first."""
+        """Sentences of the failed checks, sorted: checks that name a cause, then the least probable results."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
     def said(self) -> tuple[str, ...]:
-        """Sentences of the failed checks, and on how the discrepancy is, or could be, allowed for."""
+        """Sentences of the failed checks, followed by sentences on how to allow for the discrepancy."""
         return (*self.against, *self._allowed)
 
     @property
@@ -157,7 +157,7 @@ class ModelFit:
 
     @property
     def _allowed(self) -> tuple[str, ...]:
-        """Sentences on the scatter that allows for the model discrepancy or, without scatter, on how to add it."""
+        """Sentences on the scatter that allows for the discrepancy or, without scatter, on how to allow for it."""
         if self.verdict == CONTRADICTED and self.remedy:
             return (f"{self.remedy}.",)
         return tuple(f"{sentence}." for sentence in self.scatter)

@@ -197,8 +197,8 @@ def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
 def frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
     """Return the frequency response assurance criterion |Σ d H*|²/(Σ |d|² Σ |H|²) of each FRF, (n_frfs,).
 
-    Lines at which a value (n_frfs, n_lines) is 0 are ignored. The criterion is NaN if all lines are (Heylen &
-    Lammens 1996).
+    `measured` d and `computed` H, (n_frfs, n_lines), are 0 at lines that are not compared. The criterion is NaN if
+    all lines are 0 (Heylen & Lammens 1996).
     """
     cross = np.abs(np.sum(measured * np.conj(computed), axis=1)) ** 2
     size = np.sum(np.abs(measured) ** 2, axis=1) * np.sum(np.abs(computed) ** 2, axis=1)

@@ -286,7 +286,7 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
 def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOut:
     """Return the prediction of mode `k` from the importance-weighted draws.
 
-    Its numbers are NaN if the weights are unreliable or, with `smoothed` None, unknown.
+    Its numbers are NaN if the weights are unreliable, or if `smoothed` is None.
     """
     if smoothed is None:
         return HeldOut()

@@ -56,7 +56,7 @@ class Draws:
 
     @cached_property
     def _distinct(self) -> tuple[FloatArray, IntArray]:
-        """Model parameters at distinct draws, (n_distinct, n_parameters), and the index of each draw, (n,)."""
+        """Model parameters at the distinct draws, (n_distinct, n_parameters), and each draw's index, (n,)."""
         return distinct_rows(self.problem.layout.of_model(self.theta))
 
     @cached_property

@@ -134,7 +134,7 @@ def _first_models(
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Resample draws with flattened weights, because a few draws may have all the weight; (_WALKERS, ndim)."""
+    """Resample `_WALKERS` draws with flattened weights, because a few draws may have all the weight."""
     return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 

@@ -87,7 +87,7 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
 
 
 def active_bounds(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
-    """Return which bounds are active, shape (ndim,): −1 for the lower bound, 1 for the upper bound, 0 for none."""
+    """Return each coordinate's active bound, shape (ndim,): −1 for the lower, 1 for the upper, 0 for none."""
     above = (model.gradient > 0) & (model.position >= scaled.upper)
     below = (model.gradient < 0) & (model.position <= scaled.lower)
     return above.astype(float) - below.astype(float)

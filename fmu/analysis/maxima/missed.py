@@ -1,4 +1,4 @@
-"""Detection of posterior regions that a run missed, which no diagnostic of its own draws can reveal."""
+"""Detect posterior regions that a run missed. Diagnostics of its own draws cannot reveal them."""
 
 from __future__ import annotations
 

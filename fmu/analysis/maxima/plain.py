@@ -1,4 +1,4 @@
-"""Adapter with which the search for maxima can use a plain log-density."""
+"""Adapter that lets the search for maxima use a plain log-density."""
 
 from __future__ import annotations
 

@@ -103,8 +103,8 @@ def _is_finite_in_prior(density: PlainDensity, seed: int) -> bool:
 def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
     """Return `n` points (n, ndim) at which a log-density is finite.
 
-    They are chosen from a larger number drawn from the prior, within the bounds, or widely around the starting
-    point. If too few of these are finite, points are repeated. Raise ValueError if none is.
+    They are chosen from a larger number of points, drawn from the prior, within the bounds, or widely around the
+    starting point. If too few of these are finite, points are repeated. Raise ValueError if no point is finite.
     """
     theta = density.starting_points(_SCATTERED * n, seed)
     theta = theta[np.isfinite(density.log_prob(theta))]

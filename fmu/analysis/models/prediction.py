@@ -40,9 +40,9 @@ def predict_modes(
     """Predict the lowest frequencies of a structure, measured or not, in its present or a modified state.
 
     The model is solved at posterior draws. With a discrepancy each mode has its own error, as an unmeasured mode
-    would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error σ, whose part common to all
-    modes is known as far as the data determine it (kind "modes"). `fmu.predict_frequencies` predicts the measured
-    modes of an unmodified structure better.
+    would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error with standard deviation σ
+    (kind "modes"). The data inform the part of this error that all modes share. `fmu.predict_frequencies` predicts
+    the measured modes of an unmodified structure better.
 
     Parameters
     ----------

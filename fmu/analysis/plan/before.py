@@ -92,7 +92,10 @@ class Before:
 
     @property
     def _configuration(self) -> tuple[ModalModel, list[int]]:
-        """Model of the earlier test that the planned one resembles, and its parameters' structural indices."""
+        """Model of the earlier test that the planned one resembles.
+
+        The second value contains the indices of its parameters among the structural parameters.
+        """
         whole = self.problem.model
         if not isinstance(whole, ModelInTests):
             return whole, list(range(whole.n_parameters))
@@ -149,9 +152,9 @@ class Before:
         return np.asarray(np.swapaxes((found[0] - found[1]) / distance[..., None], 1, 2))
 
     def chain(self, seen: ModalPrediction) -> ModalPrediction:
-        """Convert modal derivatives at the draws to derivatives with respect to ψ, by the chain rule.
+        """Convert modal derivatives with respect to the model parameters to derivatives with respect to ψ.
 
-        The given ones are derivatives with respect to the model parameters.
+        The chain rule is applied at each draw.
         """
         if not self.losses and self.problem.layout.is_identity:
             return seen

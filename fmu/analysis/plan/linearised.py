@@ -164,9 +164,9 @@ def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return the candidates without those that no mode moves.
+    """Return only the candidates that some mode moves.
 
-    Raise ValueError if the user named one of these.
+    Raise ValueError if the user named a candidate that no mode moves.
     """
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)

@@ -75,7 +75,7 @@ class MeasuredInTest:
         return cls(term.of_test, term.data, computed)
 
     def rows(self) -> list[dict[str, str]]:
-        """Return the table rows of this test, one dict of column names to text per FRF."""
+        """Return the table rows of this test: for each FRF, a dict that maps column names to text."""
         measured, used = np.asarray(self.data.values), self.data.used
         receptance = self.data.as_receptance()
         rows = []

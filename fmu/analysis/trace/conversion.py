@@ -198,7 +198,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 
 
 def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
-    """Return all traces in a run's directory by name, in the order of `fmu.samplers.registry.SAMPLERS`.
+    """Return all traces in a run's directory, keyed by name, in the order of `fmu.samplers.registry.SAMPLERS`.
 
     Names that are not samplers follow alphabetically.
 

@@ -191,7 +191,7 @@ def _components(
 ) -> dict[str, Any]:
     """Return computed and measured mode shapes at sensors or single points, as dataset variables.
 
-    The computed shapes are divided by `size` (states, n_modes); without `size`, their largest component is 1.
+    The computed shapes are divided by `size` (states, n_modes). If it is None, their largest component becomes 1.
     """
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}

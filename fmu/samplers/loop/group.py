@@ -1,8 +1,8 @@
 """Groups of chains, into which a run's work is divided, and the function that does a chunk of a group's work.
 
 The chains of a group advance in lockstep with one random generator, and are tuned together. Groups are independent
-of each other. Between two chunks of work a group is plain data, so the result does not depend on which worker does
-a chunk, on their order or on their number.
+of each other. Between two chunks of work a group is plain data. The result therefore depends neither on the number
+of workers nor on which worker does a chunk, or when.
 """
 
 from __future__ import annotations

@@ -230,8 +230,8 @@ def fit_infinite_margins(
 ) -> tuple[FloatArray, FloatArray]:
     """Return beta shape parameters a and b, each (ndim,), of the coordinates whose density is infinite at a bound.
 
-    Both are NaN for all other coordinates. A shape parameter below 1 means that the density is infinite at the
-    bound; otherwise it is at least 1 (uniform and exponential margins have 1).
+    Both are NaN for all other coordinates. A shape parameter below 1 means that the density is infinite at that
+    bound. Uniform and exponential margins have 1.
     """
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):

@@ -185,7 +185,10 @@ class Proposal:
         return self.offset + self.scale * self.mixture.draw(rng, n)
 
     def log_density(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density at theta (n, ndim) up to a constant, shape (n,); -inf outside the bounds."""
+        """Return the log-density at theta (n, ndim), shape (n,), up to a constant.
+
+        It is -inf outside the bounds.
+        """
         u, warp = (theta - self.offset) / self.scale, self.mixture.warp
         inside, _ = find_inside(u, warp.lower, warp.upper)
         found = np.full(len(u), -np.inf)

@@ -137,10 +137,11 @@ class Tempering(Sampler):
 
 
 class LadderTuner:
-    """Tuner of the ladder, which changes between the stages of warm-up, and of the kernel at each rung.
+    """Tuner of the ladder and of the kernel at each rung.
 
-    Each rung above the prior has its own tuner, which learns from the replicas at that rung and is restarted in
-    every stage. The last stage, half of warm-up, already uses the final ladder.
+    The ladder changes between the stages of warm-up. Each rung above the prior has its own tuner, which learns
+    from the replicas at that rung and is restarted in every stage. The last stage, half of warm-up, already uses
+    the final ladder.
     """
 
     def __init__(self, sampler: Tempering, density: LogDensity, chains: int, steps: int) -> None:

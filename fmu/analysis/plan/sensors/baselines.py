@@ -79,7 +79,7 @@ def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> 
 
 
 def largest_off_diagonal(products: FloatArray) -> FloatArray:
-    """Return the largest MAC between two different mode shapes, given ΦᵀΦ (…, m, m); shape (…)."""
+    """Return the largest MAC between two different mode shapes, shape (…), given their products ΦᵀΦ (…, m, m)."""
     m = products.shape[-1]
     if m == 1:
         return np.zeros(products.shape[:-2])
