@@ -93,7 +93,7 @@ def echo_comparison(
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
     """Print a table with one column per sampler, the verdicts if requested, and warnings about the model.
 
-    If there are several samplers, their costs relative to the baseline and their agreement are printed too.
+    If there are several samplers, also print whether they agree, and their costs relative to the baseline.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
 
 
 def echo_models(directory: Path, with_page: bool = True) -> None:
-    """Print and write a comparison of the runs in a directory's subdirectories, one per discrepancy.
+    """Compare the runs in a directory's subdirectories, one for each discrepancy; print and write the result.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def _summary_cell(name: str, value: float, sd: float) -> str:
 
 
 def _beside_the_ends(columns: list[str]) -> list[str]:
-    """Return a summary's columns, with each interval end's standard error directly after that end."""
+    """Return a summary's columns in a new order: each interval end is followed by its standard error."""
     errors = {column.removeprefix("mcse_"): column for column in columns if column.startswith("mcse_eti")}
     others = [column for column in columns if column not in errors.values()]
     return [name for column in others for name in (column, errors.get(column)) if name is not None]

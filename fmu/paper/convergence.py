@@ -187,7 +187,7 @@ def solves_by_step(trace: xr.DataTree) -> FloatArray:
 
 
 def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
-    """Return the first `draws` draws of a trace, with only the groups that the convergence checks need."""
+    """Return the first `draws` draws of a trace. Only the groups needed by the convergence checks are included."""
     import xarray as xr
 
     groups = {name: trace[name].to_dataset().isel(draw=slice(0, draws)) for name in ("posterior", "sample_stats")}

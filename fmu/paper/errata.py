@@ -78,7 +78,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
 
 
 def recomputed_page(table: pd.DataFrame) -> str:
-    """Return the Markdown text of recomputed.md, from the table that `recompute` returns."""
+    """Return the Markdown text of recomputed.md. `table` is the result of `recompute`."""
     rows = [
         (
             f"Table {row['table']}", row["column"], row["mode"], row["printed_hz"], fixed(row["model_hz"], 3),
@@ -206,7 +206,10 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
 
 
 def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[Erratum]:
-    """Yield an erratum for each mode number that denotes different physical modes within the parameter bounds."""
+    """Yield an erratum for each mode number that denotes different physical modes at different parameter values.
+
+    The parameter values are within the bounds.
+    """
     experiment = EXPERIMENTS[case]
     everywhere = spectrum.shares_over_the_box(problem, points)
     for i, (number, parts) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):

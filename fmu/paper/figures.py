@@ -1,4 +1,4 @@
-"""Figures for one experiment in the paper."""
+"""Plot the figures for one experiment in the paper."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ def reached_and_cost(findings: Findings) -> str:
 
 
 def _efficiency(findings: Findings, sampler: str) -> list[str]:
-    """Return the effective sample size per solve, per solve after the warm-up, and per second, as texts.
+    """Return three texts: the effective sample size per solve, per solve after warm-up, and per second.
 
     The texts are dashes if the run has not converged.
     """
@@ -212,7 +212,7 @@ JUDGED_BY = (
 
 
 def claims(findings: Findings) -> str:
-    """Return a table of the paper's statements about its samplers, with our judgements."""
+    """Return a table of the paper's statements about its samplers, and our judgements of them."""
     rows = [(j.statement, j.criterion, j.outcome, j.evidence) for j in judge(findings)]
     return f"{JUDGED_BY}\n" + markdown_table(("the paper", "by", "this run", "figures"), rows, words=range(4))
 

@@ -106,7 +106,7 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """Number of steps per chain, summed over all runs of one experiment."""
+        """Number of steps per chain in all runs of one experiment together."""
         runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values(), self.one_start)
         return sum(length.steps for length in runs)
 
@@ -126,7 +126,7 @@ def paper_settings(name: str) -> Sampler:
 
 
 def long_settings(name: str) -> Sampler:
-    """Return the sampler for a long run, with default settings except for emcee.
+    """Return the sampler for a long run. Its settings are the defaults, except for emcee.
 
     emcee uses differential-evolution moves, which here mix about four times as fast as its default, the stretch
     move.

@@ -79,7 +79,7 @@ def _in_a_line(findings: Findings) -> str:
 
 
 def _means(findings: Findings) -> str:
-    """Return a table of parameter values in the paper's units, one row per source, one column per parameter."""
+    """Return a table of parameter values in the paper's units. Each row is a source, each column a parameter."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
 

@@ -45,11 +45,11 @@ class Ascent:
 
 
 class GaussNewton:
-    """V = −log P of a problem, in the coordinates u of a `ScaledDensity`; by default u = (θ − offset)/scale.
+    """The function V = −log P of a problem, in the coordinates u of a `ScaledDensity`.
 
-    With the residuals r (errors divided by their standard deviations) and their Jacobian J, ∇²V is approximated by
-    JᵀJ plus the prior's curvature; the terms r_i ∇²r_i are neglected (Nocedal & Wright 2006, section 10.3).
-    Inferred standard deviations contribute their Fisher information (Fisher scoring).
+    By default u = (θ − offset)/scale. With the residuals r (errors divided by their standard deviations) and their
+    Jacobian J, ∇²V is approximated by JᵀJ plus the prior's curvature; the terms r_i ∇²r_i are neglected (Nocedal &
+    Wright 2006, section 10.3). Inferred standard deviations contribute their Fisher information (Fisher scoring).
     """
 
     def __init__(self, problem: Posterior, scaled: ScaledDensity | None = None) -> None:
@@ -203,7 +203,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
 
 
 def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> FloatArray:
-    """Return the minimiser of g·s + sᵀAs/2, (n, ndim), with the `held` coordinates fixed at the values in `s`."""
+    """Return the minimiser of g·s + sᵀAs/2, (n, ndim). Coordinates that are `held` keep their values in `s`."""
     i = np.arange(g.shape[1])
     s = np.where(held, s, 0.0)
     # identity rows for fixed coordinates keep the system size the same for the whole batch

@@ -102,9 +102,9 @@ class Posterior:
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
-        """Return log P(D|θ), eq. (4) with its normaliser (5), with the shape of `log_prob`.
+        """Return log P(D|θ): eq. (4), normalised by eq. (5). It is defined outside the bounds too.
 
-        It is defined outside the bounds too.
+        The result has the shape of `log_prob`.
         """
         points, single = self._points(theta)
         value = self._terms(points).sum(axis=1)
@@ -131,7 +131,7 @@ class Posterior:
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood and the squared residuals of each used mode, from the same solves.
+        """Return the log-likelihood and the squared residuals of each used mode, computed with the same solves.
 
         Parameters
         ----------
@@ -171,9 +171,9 @@ class Posterior:
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
-        """Return the log-prior (6), normalised over the bounds, with the shape of `log_prob`.
+        """Return the log-prior (6), normalised within the bounds; ``-inf`` outside the bounds.
 
-        It is ``-inf`` outside the bounds.
+        The result has the shape of `log_prob`.
         """
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
@@ -182,7 +182,10 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return `log_prior` and its gradient (NaN outside the bounds), with the shapes of `log_prob_and_grad`."""
+        """Return `log_prior` and its gradient, which is NaN outside the bounds.
+
+        The shapes are as in `log_prob_and_grad`.
+        """
         points, single = self._points(theta)
         value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
         inside = self._within(points).all(axis=1)
@@ -245,7 +248,7 @@ class Posterior:
 
     @property
     def failures(self) -> list[Failure]:
-        """The first ten thousand points inside the bounds without a finite log-likelihood, with the reasons."""
+        """The first ten thousand points inside the bounds without a finite log-likelihood, each with a reason."""
         return list(self._failed.first)
 
     @property
@@ -288,7 +291,7 @@ class Posterior:
 
     @property
     def solves_per_gradient(self) -> int:
-        """Cost of `log_prob_and_grad` at one theta in model solves: 1 if derivatives are exact."""
+        """Cost of `log_prob_and_grad` at one theta, in model solves. It is 1 if derivatives are exact."""
         of_model, often = self.model, self.likelihood.predictions_per_gradient
         shapes = self.likelihood.needs_shapes
         return often * (of_model.solves_per_shape_gradient if shapes else of_model.solves_per_gradient)
@@ -323,7 +326,7 @@ class Posterior:
         return other
 
     def _take_parameters(self) -> None:
-        """Set the attributes that follow from the parameters of the layout and the noise of the likelihood."""
+        """Set the attributes that follow from the layout's parameters and the likelihood's inferred error sds."""
         self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         self.ndim = len(self.parameters)
         self.names = tuple(p.name for p in self.parameters)
@@ -391,7 +394,7 @@ class Posterior:
         return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Record points with a non-finite term; return `terms` (n, n_terms) with -inf for all terms there."""
+        """Record points with a non-finite term. Return `terms` (n, n_terms), with all terms of such a point −∞."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

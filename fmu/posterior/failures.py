@@ -1,4 +1,4 @@
-"""Record points inside the bounds that have no finite log-likelihood, each with the reason."""
+"""Record the points inside the bounds that have no finite log-likelihood, and the reason for each."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class FailureRecord:
                 self.first.append(failure)
 
     def take(self) -> list[Failure]:
-        """Return the failures since this method was last called, in order."""
+        """Return the failures since the last call of this method, in order."""
         taken = list(self._waiting.values())
         self._waiting.clear()
         return taken

@@ -105,7 +105,7 @@ def parameter_in(given: object) -> Parameter | None:
 
 
 def value_and_parameter(given: float | Parameter) -> tuple[float, Parameter | None]:
-    """Return a known value and None, or an inferred setting's starting value and its parameter."""
+    """Return (value, None) for a known setting, or (starting value, parameter) for an inferred setting."""
     return (given.start, given) if isinstance(given, Parameter) else (float(given), None)
 
 

@@ -65,7 +65,7 @@ def fit_to_bounds(parameter: Parameter) -> Fit | None:
 
 
 def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
-    """Return messages about priors that contradict their bounds, with a remedy for each.
+    """Return messages about priors that contradict their bounds. Each message includes a remedy.
 
     A prior is reported if less than 5 % of its probability lies between the bounds, if its centre lies more than
     one of its standard deviations outside the bounds, or if it is so narrow that the data have no influence.
@@ -74,7 +74,7 @@ def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
 
 
 def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return sentences about priors centred outside their bounds, with the probability within the bounds.
+    """Return sentences about priors centred outside their bounds. They state the probability within the bounds.
 
     Parameters
     ----------

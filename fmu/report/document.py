@@ -262,7 +262,7 @@ class Omitted:
 
     @property
     def omissions(self) -> tuple[str, ...]:
-        """One sentence that says what is omitted and why, in a tuple."""
+        """A one-element tuple with a sentence that says what is omitted and why."""
         return (f"{self.title}: {self.reason}.",)
 
 

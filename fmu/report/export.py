@@ -246,7 +246,7 @@ def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[Probl
 
 
 def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
-    """Raise ValueError unless the problem is the one that was sampled.
+    """Raise ValueError unless `problem` is the problem that was sampled.
 
     The model matrices may differ by rounding, for example on another machine. In that case the model frequencies
     at a few draws must agree with the frequencies stored in the trace.
@@ -299,7 +299,7 @@ def _remarks(
 
 
 def _from_prior(names: Sequence[str]) -> list[str]:
-    """Return a warning, in a list, that the data did not inform `names`; empty if `names` is empty."""
+    """Return a list with a warning that the data did not inform `names`, or an empty list if there are none."""
     if not names:
         return []
     come = "their values come from their priors" if len(names) > 1 else "its value comes from its prior"

@@ -125,7 +125,7 @@ def _panel(axes: Axes) -> dict[str, object]:
 
 
 def plain(text: str) -> str:
-    """Return a label on one line, with escaped dollar signs unescaped."""
+    r"""Return a label as a single line, with ``\$`` replaced by ``$``."""
     return " ".join(text.replace(r"\\$", "$").replace(r"\$", "$").split())
 
 

@@ -35,7 +35,7 @@ class Rounded:
 
 
 def pack(content: object) -> str:
-    """Return content as text: the base64 encoding of its zlib-compressed JSON, followed by its arrays.
+    """Return content as text: its JSON and its arrays, compressed with zlib and encoded in base64.
 
     Parameters
     ----------

@@ -264,7 +264,7 @@ def publish_models(
 
 
 def render(page: Page) -> str:
-    """Return a page as HTML, with all text escaped."""
+    """Return a page as HTML. All text in it is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -280,7 +280,7 @@ def render(page: Page) -> str:
 
 
 def prose(text: str) -> Markup:
-    """Return a text as escaped HTML, with words between backticks formatted as code."""
+    """Return a text as escaped HTML. Words between backticks are formatted as code."""
     parts = str(text).split("`")
     if len(parts) % 2 == 0:  # an unpaired backtick is part of a name
         return escape(text)

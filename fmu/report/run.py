@@ -1,4 +1,4 @@
-"""A run with its summary, diagnosis and costs, computed once for all report pages."""
+"""Compute a run's summary, diagnosis and costs once for all report pages."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """Full name of the sampler if the run is named after one, otherwise the run's name."""
+        """Full name of the sampler if the run's name is a sampler's, otherwise the run's name."""
         return TITLES.get(self.name, self.name)
 
     @property
@@ -83,7 +83,7 @@ class ReportedRun:
 
     @property
     def priors(self) -> dict[str, str]:
-        """Each parameter's prior in words, in customary units; parameters with unknown priors are omitted."""
+        """Each parameter's prior in words, in customary units. Parameters whose prior is unknown are omitted."""
         known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
         return {p["name"]: breaking_at_commas(prior_in_words(p["prior"], p["unit"])) for p in known}
 

@@ -105,7 +105,7 @@ def _ticks_placed_once() -> Iterator[None]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Apply the figure's layout once, without drawing the whole figure for it as Matplotlib does."""
+    """Apply the figure's layout. Unlike Matplotlib, do not draw the whole figure for this."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()
@@ -195,7 +195,7 @@ def _tenths(value: int) -> str:
 
 
 def _fewer_colours(data: re.Match[str]) -> str:
-    """Return PNG data reduced to a palette of 32 colours, which takes a quarter of the space."""
+    """Return PNG data reduced to a palette of 32 colours, in a quarter of the space."""
     from PIL import Image
 
     file = io.BytesIO()

@@ -90,7 +90,7 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
 
 
 def writable(text: str) -> str:
-    """Escape NUL and invalid Unicode, which users' messages may contain, in text for HDF5."""
+    """Return text that HDF5 can store: NUL and invalid Unicode, which users' messages may contain, are escaped."""
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
 
 

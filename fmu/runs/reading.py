@@ -1,4 +1,4 @@
-"""Read a sampler's progress from its chain groups' files or, if it has finished, from its trace."""
+"""Read a sampler's progress from the files of its chain groups or, if the sampler has finished, from its trace."""
 
 from __future__ import annotations
 
@@ -192,7 +192,10 @@ class GroupReader:
         return KeptGroup(state, phase, at, accept, draws), damaged
 
     def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
-        """Return the newest undamaged state and the time it was saved; report damage by appending to `damaged`."""
+        """Return the newest undamaged state and the time of its file in s since 1970, or None if there is none.
+
+        Messages about damaged files are appended to `damaged`.
+        """
         for _ in range(_TRIES):
             damaged.clear()
             for _, path in reversed(numbered_files(self.directory, "state")):

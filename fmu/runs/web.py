@@ -36,7 +36,7 @@ _PATIENCE = 0.5
 
 
 class WatchServer(ThreadingHTTPServer):
-    """Server for a run's web page; failures of the server or its clients never affect the run.
+    """Server for a run's web page. Failures of the server or its clients never affect the run.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class WatchServer(ThreadingHTTPServer):
             self._open.release()
 
     def finish_request(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a request; ignore the error if the client has closed the connection."""
+        """Answer a request. Ignore the error if the client has closed the connection."""
         with suppress(ConnectionError, TimeoutError):
             super().finish_request(request, client_address)
 

@@ -167,7 +167,7 @@ def summary_table(studies: Sequence[WrongModel]) -> str:
 
 
 def modes_table(study: WrongModel) -> str:
-    """Return a table of the measured modes and their predictions from the others, without and with scatter."""
+    """Return a table of the measured modes, each predicted from the other modes, without and with scatter."""
     rows = []
     for mode, row in rows_of(study.modes):
         cells = [mode, given(row["measured_hz"])]

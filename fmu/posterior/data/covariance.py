@@ -57,7 +57,10 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
 
 
 def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
-    """Return the weights of `n` modes, shape (n,), by default 1; raise ValueError unless all are positive."""
+    """Return the weights of `n` modes, shape (n,); 1 for each mode if `weights` is None.
+
+    Raise ValueError unless all weights are positive.
+    """
     if weights is None:
         return np.ones(n)
     given = np.asarray(weights, dtype=float)

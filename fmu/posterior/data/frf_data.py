@@ -132,7 +132,7 @@ class FRFData:
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
     def _check_lines(self, notes: list[str]) -> None:
-        """Append notes about lines without values; raise ValueError if an FRF has none, or no line is used."""
+        """Append notes about lines without values. Raise ValueError if an FRF has no values or no line is used."""
         missing = np.isnan(np.asarray(self.values))
         notes += check_rows(self.labels, missing)
         if self.band is not None and not 0.0 <= self.band[0] < self.band[1]:
@@ -388,7 +388,7 @@ class FRFData:
         return doubts(self._spectra, self.power, self.freedom)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the settings, with a hash of the numbers, as a dict of plain Python types."""
+        """Return the settings and a hash of the measured numbers as a dict of plain Python types."""
         frequencies = np.asarray(self.frequencies_hz)
         arrays = [frequencies, np.asarray(self.values), self.used, *([] if self._sd is None else [self._sd])]
         return {

@@ -166,7 +166,7 @@ class ModalData:
         labels: tuple[str, ...] = (),
         use: tuple[bool, ...] = (),
     ) -> Self:
-        """Average several tests; return the mean as modal data, with the uncertainty estimated from the scatter.
+        """Average several tests, and return the mean as modal data with an uncertainty estimated from the scatter.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class ModalData:
         scatter : {"each", "pooled", "joint"}
             "each": independent modes, each with its own scatter. "pooled": independent modes with one relative
             scatter, for few tests. "joint": a full covariance, which needs at least three tests more than modes.
-            In all three cases the standard deviation is increased because few tests determine it poorly, see
+            In all three cases the standard deviation is increased because few tests determine it poorly; see
             `fmu.posterior.data.repeated.RepeatedTests`.
         numbers, sensors, labels, use
             The class attributes with these names.
@@ -230,14 +230,14 @@ class ModalData:
         modes: Sequence[int] | None = None,
         **options: Any,
     ) -> Self:
-        """Read modes from a universal file, dataset 55; needs the package pyuff.
+        """Read modes from a universal file (dataset 55). This needs the package pyuff.
 
         Parameters
         ----------
         path : path-like
         nodes : mapping of node number to place, optional
-            Maps node numbers in the file to model nodes or their names; nodes of the file that are not in the
-            mapping are skipped. By default, the model's nodes have the same numbers as those in the file.
+            Maps node numbers in the file to model nodes or their names. Nodes that are not in the mapping are
+            skipped. By default, the model's nodes have the same numbers as the nodes in the file.
         modes : sequence of int, optional
             Numbers of the modes in the file. Defaults to all modes.
         **options
@@ -327,7 +327,7 @@ class ModalData:
         return cls(**(vars(modes) | own | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
-        """Return the same modes with other frequencies (n_modes,) in Hz; modes with NaN are left out."""
+        """Return the same modes with other frequencies (n_modes,) in Hz. Modes with frequency NaN are left out."""
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:

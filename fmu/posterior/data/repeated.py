@@ -1,4 +1,4 @@
-"""Repeated tests of one structure: the mean of the measured modes, and its uncertainty."""
+"""Average repeated tests of one structure: the mean of the measured modes, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -162,14 +162,14 @@ class RepeatedTests:
         return np.asarray(_scatter(values, self.scatter).nu, dtype=float)
 
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
-        """Draw deviations of one further test's frequencies from the structure's true ones, (size, n_modes), Hz.
+        """Draw the differences between one further test's frequencies and the true ones, (size, n_modes), Hz.
 
         A single test's standard deviation, estimated from n tests, is integrated out with the prior ∝ 1/s. The
-        deviations are then s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive
+        differences are then s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive
         interval from a model that can fit the mean is a little too wide, because the Gaussian in `mean` is widened
         too. A 90 % interval then covers 93 % for two tests, 92 % for three, and 90 % for five or more. If the
-        scatter is "joint", the deviations have the multivariate t distribution with n − n_modes degrees of freedom
-        and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
+        scatter is "joint", the differences have the multivariate t distribution with n − n_modes degrees of
+        freedom and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
         """
         values = np.asarray(self.frequencies_hz)
         z = rng.standard_normal((size, values.shape[1]))
@@ -212,7 +212,7 @@ def _joint(values: FloatArray) -> MeanFrequencies:
 
 
 def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
-    """Average mode shapes over the tests, with a common scale and sign; return shape (n_sensors, n_modes).
+    """Return the mean of the tests' mode shapes, (n_sensors, n_modes), after giving them a common scale and sign.
 
     Each shape is scaled to unit length, with the sign that makes its scalar product with the common direction
     (the first eigenvector of Σ φφᵀ) positive. The mean has unit length and the first test's sign.

@@ -1,4 +1,4 @@
-"""Model discrepancy: errors of a wrong model, in addition to measurement errors.
+"""Model discrepancy: errors that occur because the model is wrong, in addition to measurement errors.
 
 Reading order: embedded, modes, latent, model_errors, likelihood. The last uses curvature, draws and frequencies.
 """

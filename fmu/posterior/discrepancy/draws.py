@@ -19,7 +19,7 @@ def distinct_rows(theta: FloatArray) -> tuple[FloatArray, IntArray]:
 def at_distinct_rows(
     function: Callable[[FloatArray], Sequence[FloatArray]], theta: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Return the arrays that a function gives at theta (n, ndim). It is called once, with the distinct rows.
+    """Return the arrays that a function gives at theta (n, ndim), evaluating the function at distinct rows only.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ def at_distinct_rows(
 
 
 def errors_from_normal(z: FloatArray, w: FloatArray, given: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Return errors z, (n, m, P), and w, (n, C), given the data, from standard normal numbers of these shapes.
+    """Transform standard normal z, (n, m, P), and w, (n, C), to draws of the latent errors given the data.
 
-    `given` is what `DiscrepantLikelihood.errors_given_data` returns.
+    `given` is the result of `DiscrepantLikelihood.errors_given_data`.
     """
     mean, gain, covariance, mean_w, of_w = given
     w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)

@@ -1,9 +1,9 @@
-"""The errors of a model as parameters beside theta, given which the tests of a structure are independent.
+"""Treat the latent model errors as parameters in theta. Given these, the tests of a structure are independent.
 
 The likelihood of `DiscrepantLikelihood` is an integral over the latent errors z and w, which are standard normal
-(`fmu.posterior.discrepancy.latent`). Here they are further parameters, with this prior. The posterior of theta is
-exactly the same, and that of z and w given theta is Gaussian, so that they can be drawn (data augmentation; Tanner
-& Wong 1987, *J. Am. Stat. Assoc.* 82, 528–540).
+(`fmu.posterior.discrepancy.latent`). Here z and w are further parameters with this prior. The posterior of theta
+is exactly the same. The posterior of z and w given theta is Gaussian, so that they can be drawn (data
+augmentation; Tanner & Wong 1987, *J. Am. Stat. Assoc.* 82, 528–540).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _STEP = 1e-4
 
 
 def with_errors_as_parameters[Problem: Posterior](problem: Problem) -> Problem:
-    """Return the problem with the latent errors of its model as parameters; the problem itself if it has none."""
+    """Return the problem with its model's latent errors as parameters, or the same problem if it has none."""
     likelihood = problem.likelihood
     if not isinstance(likelihood, DiscrepantLikelihood):
         return problem
@@ -37,7 +37,9 @@ def with_errors_as_parameters[Problem: Posterior](problem: Problem) -> Problem:
 
 
 class LikelihoodGivenErrors(DiscrepantLikelihood):
-    """The likelihood of parameters and latent errors, which follow the inferred standard deviations in theta.
+    """The likelihood as a function of parameters and latent errors.
+
+    In theta, the latent errors follow the inferred standard deviations.
 
     Parameters
     ----------
@@ -55,14 +57,14 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         self.noise = (*of.noise, *(Parameter(f"latent error {i + 1}", 0.0, prior=Normal(1.0)) for i in range(n)))
 
     def draw(self, rng: np.random.Generator, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return errors (n, n_errors), drawn given the data; `seen` is what `observed` returns at theta."""
+        """Draw the latent errors, (n, n_errors), given the data. `seen` is the result of `observed` at theta."""
         given = self.of.errors_given_data(seen, theta, self._used)
         return self._join(
             *errors_from_normal(*self._split(rng.standard_normal((len(theta), self.n_errors))), given)
         )
 
     def likeliest(self, theta: FloatArray) -> FloatArray:
-        """Return the most probable errors, (n, n_errors), at theta (n, ndim)."""
+        """Return the most probable latent errors, (n, n_errors), at theta (n, ndim)."""
         mean, gain, _, w, _ = self.of.errors_given_data(self.of.observed(theta), theta, self._used)
         return self._join(mean - np.einsum("nmpc,nc->nmp", gain, w), w)
 
@@ -76,7 +78,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return np.concatenate([of_groups.reshape(len(z), -1), w], axis=1)
 
     def _split(self, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return z of all measured modes, (n, n_modes, P), and w, (n, C), for errors (n, n_errors)."""
+        """Split latent errors (n, n_errors) into z of all measured modes, (n, n_modes, P), and w, (n, C)."""
         k = self._n_groups * self._n_own
         return errors[:, :k].reshape(len(errors), self._n_groups, self._n_own)[:, self._place], errors[:, k:]
 
@@ -96,7 +98,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return terms, slopes
 
     def expand(self, theta: FloatArray) -> ExpandedErrors:
-        """Return the residuals about theta, (1, ndim), as a function of the errors."""
+        """Return the residuals, expanded about theta (1, ndim), as a function of the latent errors."""
         values, noise = self._values(theta)[0], theta[:, self.model.n_parameters :]
         p, scale = values.shape[1], self.errors.scale(values)
         points = np.repeat(values[None], 1 + 2 * p, axis=0)
@@ -110,35 +112,40 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return ExpandedErrors(self, rows.residuals, own, common, step, self._test, len(values))
 
     def sizes(self, noise: FloatArray) -> FloatArray:
-        """Return the standard deviations of the errors, in units of parameters and modes, (n, n_errors).
+        """Return the standard deviations of the latent errors, (n, n_errors), in units of parameters and modes.
 
-        They are zero where a variance is negative, as it is for a correlation out of its bounds.
+        A standard deviation is zero if the variance is negative, which occurs if a correlation is out of bounds.
         """
         own, common = self.errors.variances(noise)
         return np.sqrt(np.maximum(np.concatenate([np.tile(own, self._n_groups), common], axis=1), 0.0))
 
     def errors_at(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the errors in these units, (n, m, P) and (n, C), for the end of theta, (n, n_noise)."""
+        """Return the latent errors in units of parameters and modes, (n, m, P) and (n, C).
+
+        `noise`, (n, n_noise), has the inferred standard deviations followed by the latent errors.
+        """
         z, w = self._split(self.sizes(noise) * noise[:, len(self.of.noise) :])
         return z[:, self._used], w
 
 
 @dataclass(frozen=True, eq=False)
 class ExpandedErrors:
-    """The residuals of m rows at points about one theta, linear in the errors.
+    """The residuals of m rows at b points near one theta. They are linear in the latent errors.
 
-    The first of the b = 1 + 2 P points is theta; at the others each parameter in turn is larger, then smaller.
+    There are b = 1 + 2 P points: first theta, then theta with each parameter increased in turn, then theta with
+    each parameter decreased in turn.
 
     Attributes
     ----------
     likelihood : LikelihoodGivenErrors
     residuals : ndarray, shape (b, m, k)
-        The residuals without errors.
+        The residuals without latent errors.
     own, common : ndarray, shapes (b, m, k, n_own) and (b, m, k, C)
         The residuals due to unit errors.
     step : ndarray, shape (m, P)
-        The steps of the parameters.
+        The step by which each parameter is changed.
     test : ndarray of int, shape (m,)
+        Index of each row's test.
     n_tests : int
     """
 
@@ -151,10 +158,10 @@ class ExpandedErrors:
     n_tests: int
 
     def quadratic(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the slope (n, n_tests, P) and information (n, n_tests, P, P) of each test, given errors.
+        """Return each test's slope (n, n_tests, P) and information (n, n_tests, P, P), given the latent errors.
 
-        `noise`, (n, n_noise), has the inferred standard deviations, and then the errors. The standard deviations
-        of the measurement are those of theta.
+        `noise`, (n, n_noise), has the inferred standard deviations followed by the latent errors. The measurement
+        standard deviations are the ones at the expansion point.
         """
         z, w = self.likelihood.errors_at(noise)
         r = self.residuals - np.einsum("bmkp,nmp->nbmk", self.own, z) - np.einsum("bmkc,nc->nbmk", self.common, w)

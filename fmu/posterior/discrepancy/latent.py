@@ -64,7 +64,7 @@ class _Groups(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LatentErrors:
-    """Residuals of m rows that share latent errors, at n points; the module docstring has the notation.
+    """Residuals of m rows that share latent errors, at n points. The module docstring explains the notation.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class LatentErrors:
     def terms_given_others(self) -> FloatArray:
         """Return the log-density of each row given all other rows, relative to independent residuals, (n, m).
 
-        With the row's block Q of S⁻¹ and part g of S⁻¹r, it is ½ (|r|² − gᵀQ⁻¹g + log det Q).
+        Let Q be the row's block of S⁻¹, and g its part of S⁻¹r. The term is ½ (|r|² − gᵀQ⁻¹g + log det Q).
         """
         z, w, of_z, of_both, of_w = self.given_residuals()
         F = np.concatenate([self.loads, self.common], axis=3)
@@ -224,12 +224,12 @@ class LatentErrors:
 
     @cached_property
     def _is_single(self) -> bool:
-        """Whether every group has only one row, with one residual."""
+        """Whether every group consists of one row with one residual."""
         return self.residuals.shape[2] == 1 and len(set(self.group.tolist())) == len(self.group)
 
     @cached_property
     def _variance(self) -> FloatArray:
-        """Variances S = 1 + AAᵀ of rows with one residual, shape (n, m)."""
+        """Variances S = 1 + AAᵀ, shape (n, m), if each row has one residual."""
         return np.asarray(1.0 + np.einsum("nmkp,nmkp->nm", self.loads, self.loads))
 
     @cached_property
@@ -294,13 +294,14 @@ class LatentErrors:
 
 @dataclass(frozen=True, eq=False)
 class KnownErrors(LatentErrors):
-    """The residuals of m rows whose latent errors are known: the rows are independent.
+    """Residuals of m rows whose latent errors are known, so that the rows are independent.
 
     Attributes
     ----------
     z : ndarray, shape (n, m, P)
-        The errors of the group of each row.
+        The errors of each row's group.
     w : ndarray, shape (n, C)
+        The common errors.
     """
 
     z: FloatArray
@@ -313,18 +314,21 @@ class KnownErrors(LatentErrors):
         return own + np.einsum("nmkc,nc->nmk", self.common, self.w)
 
     def terms(self) -> FloatArray:
-        """Return log N(r; A z + a w, I) − log N(r; 0, I) of each row, shape (n, m)."""
+        """Return each row's log-density relative to independent residuals, (n, m).
+
+        It is log N(r; A z + a w, I) − log N(r; 0, I).
+        """
         fitted = self.fitted
         return np.einsum("nmk,nmk->nm", fitted, self.residuals - 0.5 * fitted)
 
     def slopes(self) -> Slopes:
-        """Return the derivatives of the sum of `terms`."""
+        """Return the derivatives of the summed `terms`."""
         fitted = self.fitted
         error = (self.residuals - fitted)[..., None]
         return Slopes(fitted, error * self.z[:, :, None], error * self.w[:, None, None])
 
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return r − A z − a w, shape (n, m, k), and the derivatives of r unchanged."""
+        """Return r − A z − a w, shape (n, m, k), and the derivatives of r, which are unchanged."""
         return self.residuals - self.fitted, slopes
 
 

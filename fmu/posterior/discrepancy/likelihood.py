@@ -91,18 +91,18 @@ class DiscrepantLikelihood(ModalLikelihood):
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
     def easier(self) -> list[Likelihood]:
-        """Return the likelihood without the discrepancy, with the same parameters, as a one-element list."""
+        """Return a list with one likelihood: the same parameters, but no discrepancy."""
         found = ModalLikelihood(self.model, *self._made_of).using(self.used)
         found.noise = self.noise
         return [found]
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the log-likelihood depends on the frequencies alone; False if parameters scatter."""
+        """Whether the log-likelihood depends only on the frequencies. It is False if parameters scatter."""
         return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta, with the derivatives that scattering parameters need."""
+        """Return the predicted modes at theta, including any derivatives that scattering parameters need."""
         if not (gradient or len(self.errors.scattered)):
             return super().observed(theta)
         structural = theta[:, : self.model.n_parameters]

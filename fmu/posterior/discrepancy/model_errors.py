@@ -61,7 +61,7 @@ class Change(NamedTuple):
     by_noise: FloatArray
 
     def of(self, rows: Linearised) -> FloatArray:
-        """Return the first-order change in each row's log-density, (n, m), for changes in all of its slopes."""
+        """Return the first-order change in each row's log-density, (n, m), if all slopes in `rows` change."""
         pairs = ((self.by_slope, rows.slopes), (self.by_own, rows.own), (self.by_common, rows.common))
         found = [np.einsum("nmkp,nmkp->nm", by, x) for by, x in pairs if x.shape[-1]]
         return np.asarray(sum(found, np.zeros(self.by_residual.shape[:2])))
@@ -222,7 +222,7 @@ class ModelErrors:
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
     def units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals that unit errors cause: a mode's own, (n, m, k, P), and common, (n, m, k, C)."""
+        """Return the residuals caused by unit errors: a mode's own, (n, m, k, P), and common, (n, m, k, C)."""
         if not len(self.scattered):
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
@@ -260,7 +260,7 @@ class ModelErrors:
 
 
 def _joined(parts: Sequence[FloatArray], axis: int) -> FloatArray:
-    """Concatenate arrays along an axis, without a copy if all but one of them are empty."""
+    """Concatenate arrays along an axis. If only one array is not empty, return it without a copy."""
     filled = [part for part in parts if part.shape[axis]]
     return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
 

@@ -25,7 +25,7 @@ class ErrorModel(Protocol):
 
     @property
     def sd(self) -> ArrayLike | Parameter | None:
-        """Standard deviation of the errors, known or to be inferred; None if the data supply it."""
+        """Standard deviation of the errors, or the Parameter if it is inferred; None if the data supply it."""
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
@@ -174,7 +174,7 @@ class ErrorTerm:
         raise NotImplementedError
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return `residuals`, with their derivatives projected onto the space in which the residuals lie."""
+        """Return `residuals` with other derivatives: projected onto the space in which the residuals lie."""
         return self.residuals(seen, noise)
 
     def change_of_slopes(
@@ -207,7 +207,7 @@ class ErrorTerm:
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies with only the inferred errors added, (n, n_modes), in Hz."""
+        """Return frequencies (n, n_modes), in Hz, to which only the inferred errors have been added."""
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -389,7 +389,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies with only the inferred model errors added, (n, n_modes), in Hz."""
+        """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added."""
         return frequencies
 
     def with_discrepancy(

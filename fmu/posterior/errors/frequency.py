@@ -208,7 +208,7 @@ class FrequencyTerm(ErrorTerm):
         return slope[..., None] * own, None, (bent * np.sum(own * J, axis=2))[..., None] * J
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies for the computed ones, (n, n_modes), in Hz."""
+        """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))
         error = sd * rng.standard_normal(frequencies.shape)
         if self.kind == "eigenvalue":
@@ -230,7 +230,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies with only the inferred errors added, (n, n_modes), in Hz."""
+        """Return frequencies (n, n_modes), in Hz, to which only the inferred errors have been added."""
         if self.is_known:
             return frequencies
         inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))
@@ -370,7 +370,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return Residuals(seen.frequencies[..., None], np.ones_like(seen.frequencies)[..., None])
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies for the computed ones, (n, n_modes), in Hz."""
+        """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
         return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
 
     def labels(self, modes: Sequence[str]) -> list[str]:

@@ -119,7 +119,7 @@ class ModalLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the modes' `terms`, (n, n_used), and `misfit`, (n, n_kinds, n_used), from the same solves."""
+        """Return the modes' `terms`, (n, n_used), and `misfit`, (n, n_kinds, n_used), from one set of solves."""
         is_enough = self.by_frequencies and frequencies is not None
         seen = without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
@@ -201,7 +201,7 @@ class ModalLikelihood(Likelihood):
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with errors from the first frequency error model added.
+        """Return frequencies (n, n_modes), Hz, with random errors from the first frequency error model added.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies with only the inferred model errors added, (n, n_modes), in Hz.
+        """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added.
 
         Raises
         ------
@@ -288,7 +288,7 @@ class ModalLikelihood(Likelihood):
         return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted frequencies at theta (n, ndim), with mode shapes if some errors are in shapes."""
+        """Return the predicted frequencies at theta (n, ndim), and mode shapes if there are errors in shapes."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)

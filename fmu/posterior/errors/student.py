@@ -1,4 +1,4 @@
-"""Heavy-tailed frequency errors, which give little weight to a mode that contradicts the other modes."""
+"""Heavy-tailed frequency errors. They give little weight to a mode that contradicts the other modes."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class StudentTerm(FrequencyTerm):
         return found
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies for the computed ones, (n, n_modes), in Hz."""
+        """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
         nu = self._freedom if self._number is None else self._nu(noise)
         error = np.sqrt(self.spread.variance(noise)) * rng.standard_t(nu, frequencies.shape)
         if self.kind == "eigenvalue":

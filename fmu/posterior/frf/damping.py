@@ -1,4 +1,4 @@
-"""Structural damping models: modal ratios, Rayleigh damping, loss factors and dashpots, each known or inferred."""
+"""Structural damping models: modal ratios, Rayleigh damping, loss factors and dashpots. All may be inferred."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def bind_damping(
 
 
 def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
-    """Return a damping model as a dict of plain Python types, with each parameter replaced by its name."""
+    """Return a damping model as a dict of plain Python types. A parameter is represented by its name."""
     found: dict[str, Plain] = {"damping": type(given).__name__}
     for key, value in vars(given).items():
         if key == "matrix":

@@ -1,4 +1,4 @@
-"""Errors in measured frequency response functions, either in H or in log H, with channel errors."""
+"""Errors in measured frequency response functions: errors in H or in log H, and channel errors."""
 
 from __future__ import annotations
 

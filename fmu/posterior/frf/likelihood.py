@@ -312,7 +312,7 @@ class FRFLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies with only the inferred model errors added, (n, n_modes), in Hz."""
+        """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added."""
         return self.modal.simulate_discrepancy(rng, frequencies, noise)
 
     def with_discrepancy(

@@ -282,7 +282,7 @@ class FRFTerm:
         return Misfit(terms, weights, by_sd)
 
     def _integrate_gains(self, theta: FloatArray, solved: ModalResponses | GeneralResponses) -> Gains:
-        """Return the gain errors that are integrated out, computed in one pass over all lines."""
+        """Return the distribution of the gain errors that are integrated out, in one pass over all lines."""
         sd, n = self.channels.gain_sd, len(theta)
         known = sd == 0.0
         if known.all():

@@ -216,7 +216,7 @@ class NextTest(NamedTuple):
 def draw_next_test(
     problem: UpdatingProblem, rng: np.random.Generator, theta: FloatArray, t: int, covariates: Mapping[str, float]
 ) -> NextTest:
-    """Return draws of one further test like test number `t`; see `simulate_next_test`."""
+    """Return draws of one further test in the configuration of test number `t`; see `simulate_next_test`."""
     structural = theta[:, : problem.n_structural]
     layout = problem.layout
     scores = layout.draw_scores(structural, rng, 1)[:, 0]

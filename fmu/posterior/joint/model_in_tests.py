@@ -140,7 +140,7 @@ class ModelInTests(ModalModel):
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """The first points at which a user's function failed, with the reasons."""
+        """The first points at which a user's function failed, each with the reason."""
         return tuple(reason for model in self.parts for reason in model.reasons)
 
     @property

@@ -35,7 +35,9 @@ NAME = "share of outliers"
 @check_arguments
 @dataclass(frozen=True)
 class Outliers:
-    """Some tests may be outliers: the values in one population, or in all, are drawn from a wider distribution.
+    """The assumption that some tests may be outliers, with values from a wider distribution.
+
+    The wider distribution applies to the values in one population, or in all populations.
 
     Attributes
     ----------
@@ -207,15 +209,15 @@ class ContaminatedScores:
         return self._outlying(share_of), np.einsum("nct,ctp->ntp", share_of, (self.scales > 1.0).astype(float))
 
     def draw_from_prior(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
-        """Draw the score scales, the diagonals D, from their prior; shape (n, n_tests, p)."""
+        """Draw the score scales D, shape (n, n_tests, p), from their prior."""
         return self._draw(rng, self._log_weights(theta))
 
     def draw_scales(self, rng: np.random.Generator, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Draw the score scales, the diagonals D, given the scores z; both have shape (n, n_tests, p)."""
+        """Draw the score scales D given the scores z; both have shape (n, n_tests, p)."""
         return self._draw(rng, self._terms(theta, z).log)
 
     def likeliest_scales(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the most probable score scales, the diagonals D, given the scores z; shape (n, n_tests, p)."""
+        """Return the most probable score scales D, shape (n, n_tests, p), given the scores z."""
         return self._select(np.argmax(self._terms(theta, z).log, axis=1))
 
     def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:

@@ -179,7 +179,7 @@ class Normal(Prior):
         return np.clip(self.mean + self.sd * (-z if flip else z), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the lower bound and the width if both bounds are finite; otherwise the mean and the sd."""
+        """Return the lower bound and the width if both bounds are finite, or the mean and the sd if not."""
         if np.isfinite(upper - lower):
             return lower, upper - lower
         return self.mean, self.sd
@@ -209,7 +209,7 @@ class Uniform(Prior):
         return np.zeros_like(x)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the width, which normalises a density of 1 between the bounds."""
+        """Return the logarithm of the width: the integral of a density of 1 between the bounds."""
         return float(np.log(upper - lower))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:

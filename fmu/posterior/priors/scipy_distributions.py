@@ -40,7 +40,7 @@ class InvertedPrior(Prior):
 
     @abstractmethod
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantile, at which 1 − F equals p, for each p."""
+        """Return the upper quantile for each probability p: the value at which 1 − F equals p."""
 
     def log_mass(self, lower: float, upper: float) -> float:
         """Return the log-probability between two bounds, or ``-inf`` if the probability underflows."""
@@ -146,7 +146,7 @@ class ScaledBeta(InvertedPrior):
         return np.asarray(self.low + (self.high - self.low) * betaincinv(self.a, self.b, p))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantile, at which 1 − F equals p, for each p."""
+        """Return the upper quantile for each probability p: the value at which 1 − F equals p."""
         return np.asarray(self.high - (self.high - self.low) * betaincinv(self.b, self.a, p))
 
     def as_dict(self) -> dict[str, Plain]:
@@ -154,7 +154,7 @@ class ScaledBeta(InvertedPrior):
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
     def _parts(self, x: Any) -> tuple[FloatArray, FloatArray]:
-        """Return t and 1 − t at each x, both without cancellation near their zeros."""
+        """Return t and 1 − t at each x, without cancellation where either is near zero."""
         width = self.high - self.low
         return np.asarray((x - self.low) / width), np.asarray((self.high - x) / width)
 
@@ -240,7 +240,7 @@ class ScipyPrior(InvertedPrior):
         return np.asarray(self.distribution.ppf(p))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantile, at which 1 − F equals p, for each p."""
+        """Return the upper quantile for each probability p: the value at which 1 − F equals p."""
         return np.asarray(self.distribution.isf(p))
 
     def as_dict(self) -> dict[str, Plain]:

@@ -90,7 +90,7 @@ class SpikeAndSlab(InvertedPrior):
         return np.asarray(self.mean + 0.5 * (low + high))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the upper quantile, at which 1 − F equals p, for each p."""
+        """Return the upper quantile for each probability p: the value at which 1 − F equals p."""
         return 2.0 * self.mean - self.ppf(p)
 
     def as_dict(self) -> dict[str, Plain]:

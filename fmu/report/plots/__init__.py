@@ -1,4 +1,4 @@
-"""Plots of posterior draws, with a fixed colour for each sampler and units on every axis.
+"""Plots of posterior draws. Each sampler has a fixed colour, and every axis shows its unit.
 
 Each plot function takes traces, plots on a given or a new Matplotlib Figure and returns the Axes; it does not use
 Matplotlib's global state. To add a plot, write it in a module of this package and import it below.

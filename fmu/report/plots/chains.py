@@ -154,7 +154,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
 
 
 def draw_ranks(thinned: xr.Dataset, axes: style.AxesArray, colours: list[str]) -> None:
-    """Plot the ranks of independent draws (chain, draw) with ArviZ, one parameter on each axes."""
+    """Plot the ranks of independent draws (chain, draw) with ArviZ. Each axes shows one parameter."""
     import xarray as xr
     from arviz_plots import plot_rank
     from arviz_plots.plot_collection import PlotCollection

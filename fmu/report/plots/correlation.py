@@ -32,7 +32,7 @@ def plot_mac_matrix(
     x: str = "measured shape",
     y: str = "measured shape",
 ) -> Axes:
-    """Plot a matrix of MAC values between mode shapes; the default axis labels suit an AutoMAC matrix.
+    """Plot a matrix of MAC values between mode shapes. The default axis labels suit an AutoMAC matrix.
 
     Parameters
     ----------

@@ -230,7 +230,7 @@ def _lines(
 
 
 def _strokes(nodes: FloatArray, ends: IntArray) -> FloatArray:
-    """Return the points on a line through all elements, shape (points, 2), with NaN at its gaps."""
+    """Return the points on a line through all elements, shape (points, 2). NaN marks a gap in the line."""
     points: list[FloatArray] = []
     last = None
     for first, second in ends:

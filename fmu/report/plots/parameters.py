@@ -119,7 +119,7 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
 def _intervals(
     axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
 ) -> None:
-    """Plot means with intervals at the positions `x`, in grey for parameters that the data did not inform."""
+    """Plot means with intervals at the positions `x`. They are grey if the data did not inform the parameter."""
     factor = np.array([style.unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
     left = not_informed(trace)

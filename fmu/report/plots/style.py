@@ -122,7 +122,7 @@ def height_of_row(n: int) -> float:
 
 
 def stack_axes(n: int, figure: Figure | None, height: float | None = None, sharey: bool = False) -> AxesArray:
-    """Return `n` axes in a column with a shared x-axis, on the given figure or on a new narrow one."""
+    """Return `n` axes in a column with a shared x-axis, on `figure` or, if it is None, on a new narrow figure."""
     height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
     return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
@@ -166,7 +166,7 @@ def literal(text: str) -> str:
 
 
 def thin_labels(labels: Sequence[str]) -> list[str]:
-    """Return the tick labels, with all but every k-th label made empty if there are too many to read."""
+    """Return the tick labels, replacing all but every k-th by an empty string if there are too many to read."""
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 

@@ -40,7 +40,7 @@ OF_A_SAMPLER = (
 
 
 def of_a_sampler(run: ReportedRun) -> list[PageSection | Omitted]:
-    """Return the sections on one run's page, whether shown or omitted."""
+    """Return all sections on one run's page, including those that are omitted."""
     found = []
     for name in OF_A_SAMPLER:
         module, _, function = name.rpartition(".")

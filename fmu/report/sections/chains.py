@@ -175,7 +175,7 @@ def _running_rhat(run: ReportedRun) -> Picture:
 
 
 def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
-    """Return the section on parameter pairs, limited to the `most` most strongly correlated parameters."""
+    """Return the section on parameter pairs. It shows at most `most` parameters: the most strongly correlated."""
     title = "Pairs of parameters"
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)

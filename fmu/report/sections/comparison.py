@@ -1,4 +1,4 @@
-"""Report sections that compare samplers of one posterior by the same criterion, with emcee as the baseline."""
+"""Report sections that compare samplers of one posterior by the same criterion. The baseline is emcee."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
 
 
 def _means_table(runs: Mapping[str, ReportedRun]) -> Details:
-    """Return the table of every sampler's posterior means, hidden until opened."""
+    """Return the table of every sampler's posterior means, which is hidden until the reader opens it."""
     titles = (run.title for run in runs.values())
     words = "Posterior means and 90 % intervals"
     return Details(

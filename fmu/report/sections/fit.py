@@ -52,7 +52,7 @@ def _strongest_evidence(fit: ModelFit) -> str:
 
 
 def _shapes(run: ReportedRun) -> tuple[str, ...]:
-    """Return a sentence, in a tuple, if every mode matches its measured shape; otherwise an empty tuple."""
+    """Return a one-element tuple with a sentence if every mode matches its measured shape, otherwise ()."""
     alike = paired_mac(run.trace)
     if not alike or shape_warnings(run.trace):
         return ()

@@ -103,7 +103,7 @@ def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
 
 
 def misfit(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
-    """Return the section on how parameters scatter over the modes, for every group of parameters."""
+    """Return the section on how each group of parameters scatters over the modes."""
     rows = [_scatter_row(name, one) for name, trace in traces.items() for one in scatters(trace)]
     title = "Where the misfit lives"
     if not rows:

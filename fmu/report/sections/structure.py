@@ -67,7 +67,7 @@ def legend(entries: Iterable[tuple[str, str]]) -> Markup:
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on identifiability, from the posterior draws and from the linearised model."""
+    """Return the section on identifiability, judged from the posterior draws and from the linearised model."""
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)
     if found is None and not kept:
@@ -92,7 +92,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _drawn_directions(found: Information) -> PageTable:
-    """Return the table of the draws' principal directions, the least informed direction first."""
+    """Return the table of the draws' principal directions, starting with the least informed direction."""
     rows = tuple(
         (str(k), significant(left), fixed(1.0 - left**2, 2), *(fixed(float(x), 2) for x in direction))
         for k, (left, direction) in enumerate(zip(found.remaining_sd, found.directions, strict=True), 1)

@@ -47,7 +47,7 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
-    """Return the names of the model parameters that the data informed, with the largest change first.
+    """Return the names of the model parameters that the data informed. The largest change comes first.
 
     Losses are listed separately, and inferred error sds are not model parameters.
     """

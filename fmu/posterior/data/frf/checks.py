@@ -19,7 +19,7 @@ _ROUNDING = 1e-5
 
 
 def checked_frequencies(frequencies_hz: Any) -> FloatArray:
-    """Return the line frequencies in Hz as an array (n_lines,), which may begin at 0 Hz.
+    """Return the line frequencies in Hz as an array (n_lines,). The first frequency may be 0 Hz.
 
     Raise ValueError if they are invalid.
     """

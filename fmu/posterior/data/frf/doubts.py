@@ -70,7 +70,7 @@ class _Signs(NamedTuple):
 
 
 def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
-    """Return warnings that FRFs may have the wrong kind, polarity or position, one sentence each.
+    """Return warnings that FRFs may have the wrong kind, polarity or position. Each warning is one sentence.
 
     Parameters
     ----------

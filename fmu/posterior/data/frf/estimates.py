@@ -16,7 +16,7 @@ _SEGMENTS = 8
 
 
 class Estimate(NamedTuple):
-    """FRFs estimated from records, at the frequency lines of the segments' spectra.
+    """FRFs estimated from time records, at the frequency lines of a segment's spectrum.
 
     Attributes
     ----------

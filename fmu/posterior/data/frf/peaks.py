@@ -92,7 +92,7 @@ class Spectra(NamedTuple):
 
     @property
     def signs(self) -> FloatArray:
-        """Sign of each FRF, (n_frfs, 1): −1 if exactly one of its two directions has a minus, otherwise 1."""
+        """Sign of each FRF, (n_frfs, 1): −1 if exactly one of drive and response has a minus sign, otherwise 1."""
         minus = [
             drive[1].startswith("-") != response[1].startswith("-")
             for drive, response in zip(self.drives, self.responses, strict=True)
@@ -101,7 +101,7 @@ class Spectra(NamedTuple):
 
     @property
     def axes(self) -> list[tuple[Dof, Dof]]:
-        """Response and drive of each FRF, without the minus sign of a direction."""
+        """Response and drive of each FRF, with any minus sign removed from the directions."""
         return [
             ((response[0], response[1].removeprefix("-")), (drive[0], drive[1].removeprefix("-")))
             for drive, response in zip(self.drives, self.responses, strict=True)

@@ -80,7 +80,7 @@ _KNOWN: WeakKeyDictionary[UpdatingProblem, Conditionals] = WeakKeyDictionary()
 
 
 def conditionals(problem: UpdatingProblem) -> Conditionals:
-    """Return the conditional densities of a problem with populations, computed once per problem and cached."""
+    """Return the conditional densities of a problem with populations. They are cached for each problem."""
     if problem not in _KNOWN:
         _KNOWN[problem] = _compute(problem)
     return _KNOWN[problem]
@@ -186,7 +186,7 @@ def _given_errors(plain: UpdatingProblem) -> LikelihoodGivenErrors:
 
 
 def _with_errors(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return theta, (1, n), with the most probable model errors if these are parameters of the problem."""
+    """Return theta, (1, n), extended by the most probable model errors if these are parameters."""
     if plain.ndim == theta.shape[1]:
         return theta
     errors = _given_errors(plain).likeliest(plain.layout.of_model(theta))

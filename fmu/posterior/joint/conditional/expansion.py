@@ -56,7 +56,10 @@ class Expansion(NamedTuple):
     errors: ExpandedErrors | None = None
 
     def given_errors(self, noise: FloatArray) -> Self:
-        """Return the expansion with the slope and information of n chains, for `noise` (n, n_noise)."""
+        """Return the expansion given the model errors in `noise` (n, n_noise), or `self` if there are none.
+
+        Its slope and information have n in place of 1 on their first axis.
+        """
         if self.errors is None:
             return self
         slope, information = self.errors.quadratic(noise)

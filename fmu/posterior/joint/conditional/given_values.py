@@ -151,7 +151,7 @@ class PopulationsGivenValues:
 
 
 def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: FloatArray) -> FloatArray:
-    """Draw from inverse Wishart distributions; return factors G, shape (n, n_blocks, p, p), of the draws G Gᵀ.
+    """Draw matrices G Gᵀ from inverse Wishart distributions; return the factors G, shape (n, n_blocks, p, p).
 
     With the Bartlett decomposition B Bᵀ of a Wishart matrix with unit scale and scatter = L Lᵀ, G = L B^(−T).
 

@@ -220,7 +220,7 @@ class Normal(NamedTuple):
 
 
 class ScoresGivenMain:
-    """Density of the scores given the main parameters, with a normal approximation.
+    """Density of the scores given the main parameters, and its normal approximation.
 
     Parameters
     ----------

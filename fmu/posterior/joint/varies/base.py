@@ -69,7 +69,10 @@ def add_by_column(gradient: FloatArray, slope: Slope) -> None:
 
 
 def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
-    """Sum terms (n, m, …) that belong to the same test; return shape (n, n_tests, …). `test` has shape (m,)."""
+    """Sum terms (n, m, …) over each test's entries; return shape (n, n_tests, …).
+
+    `test`, shape (m,), is the index of each term's test.
+    """
     found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
     order = np.argsort(test, kind="stable")
     first = np.flatnonzero(np.diff(test[order], prepend=-1))

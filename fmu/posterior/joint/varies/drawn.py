@@ -1,14 +1,14 @@
-"""A parameter that scatters over the tests, as a function of scores in centred or non-centred form.
+"""A parameter that scatters over the tests, expressed by scores in centred or non-centred form.
 
 The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the test's score and Φ the standard normal distribution
 function. F is the distribution function of a normal distribution truncated to the parameter's bounds. If F is the
 population's own distribution, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This
-is the non-centred form of a hierarchical model, which is easy to sample where a test says little about its own
-value. If F is fixed, the scores are the values themselves in other units. This is the centred form, which is easy
-to sample where a test determines its own value well. A weight w per test interpolates between the two forms: F has
-the mean w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007,
-*Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the
-posterior of the values.
+is the non-centred form of a hierarchical model. It is easy to sample if a test says little about its own value. If
+F is fixed, the scores are the values themselves in other units. This is the centred form. It is easy to sample if
+a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean w μ₀ +
+(1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical Science*
+22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of the
+values.
 """
 
 from __future__ import annotations

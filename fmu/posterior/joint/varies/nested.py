@@ -78,7 +78,7 @@ class Nested(Multiplied):
         return Factor(factor, [by_width, Slope(self.columns, by_effect * s)])
 
     def _of_effect(self, effect: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the factors on the values for effects s u, and their derivatives, with the effects' shape."""
+        """Return the factors on the values for effects s u, and their derivatives. Shapes are as for `effect`."""
         if self.of_logarithm:
             return np.exp(effect), np.exp(effect)
         return 1.0 + effect, np.ones_like(effect)

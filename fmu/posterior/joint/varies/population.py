@@ -1,4 +1,4 @@
-"""A parameter that scatters from test to test, with an inferred distribution over the tests."""
+"""A parameter that scatters from test to test. Its distribution over the tests is inferred."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ class Trends:
         return Trend(of, effects) if effects else of
 
     def _effect(self, owner: str, covariate: str) -> OnCovariate:
-        """Return a covariate's effect on the parameter `owner`, which may share it with other parameters."""
+        """Return a covariate's effect on the parameter `owner`. Other parameters may share this effect."""
         found = self._effects.get((owner, covariate))
         if found is None:
             number, x = self._names.index(owner), self._theta.covariate(covariate)

@@ -154,7 +154,7 @@ def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | Non
 
 
 def shown_frfs(measured: MeasuredInTest) -> list[Shown]:
-    """Return a test's measured frequency response functions, with all frequency lines."""
+    """Return a test's measured frequency response functions at all frequency lines."""
     data = measured.data
     lines, rows = (
         np.asarray(data.frequencies_hz),
@@ -170,7 +170,7 @@ def frf_names(trace: xr.DataTree) -> list[str]:
 
 
 def _draw_curves(axes: AxesArray, shown: Shown, curves: Mapping[str, tuple[str, Curve, Curve]]) -> None:
-    """Plot the measured amplitudes and phases on two axes, with the labelled `curves`."""
+    """Plot the measured amplitudes and phases on two axes, together with the labelled `curves`."""
     above, below = axes
     lines, size = shown.lines, np.abs(shown.measured)
     for label, (colour, amplitude, phase) in curves.items():
@@ -231,7 +231,7 @@ def _unwrap_phase(phase: Curve) -> Curve:
 
 
 def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
-    """Shift phases in degrees by multiples of 360° towards the curve `middle`, interpolated where it is NaN."""
+    """Shift phases in degrees by multiples of 360° to lie near the curve `middle`; NaN in it is interpolated."""
     there = np.isfinite(middle)
     if not there.any():
         return degrees

@@ -91,7 +91,7 @@ def _row(run: ReportedRun, one: xr.Dataset, name: str) -> tuple[str, ...]:
 
 
 def _worst_first(group: xr.Dataset) -> list[int]:
-    """Return the function indices, with the largest errors first if there are more than `MOST_DRAWN`."""
+    """Return the functions' indices. If there are more than `MOST_DRAWN`, the largest errors come first."""
     if group.sizes["frf"] <= MOST_DRAWN:
         return list(range(group.sizes["frf"]))
     error = np.nanmean(group["distance"].to_numpy() ** 2, axis=1)
