@@ -156,10 +156,7 @@ class ReducedBlock(Block):
         return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
 
     def pull_back_terms(self, theta: FloatArray, by_terms: FloatArray) -> FloatArray:
-        """Convert derivatives with respect to K's coefficients to derivatives with respect to theta.
-
-        The result has shape (n, n_parameters).
-        """
+        """Convert derivatives for K's coefficients to derivatives for the parameters theta, (n, n_parameters)."""
         return self._K_map.contract(theta, by_terms[..., None])[:, 0]
 
     def pull_back(self, theta: FloatArray, by_K: FloatArray, by_M: FloatArray) -> FloatArray:
@@ -174,11 +171,14 @@ class ReducedBlock(Block):
         return of_K + of_M
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return how many modes `seen` must solve for: all for derivatives, unless the block is `massless`."""
+        """Return how many modes `seen` must compute to return `count` modes.
+
+        With `gradient` these are all modes, unless the block is `massless`.
+        """
         return self.size if gradient and not self.massless else count
 
     def coordinates(self, rows: sp.csr_array) -> FloatArray:
-        """Project sensor rows onto the basis, as a dense array of shape (n_sensors, r)."""
+        """Return the sensor rows projected onto the basis, as a dense array of shape (n_sensors, r)."""
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
@@ -204,7 +204,7 @@ class ReducedBlock(Block):
         return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return shape derivatives ∂φ/∂θ, (n, r, m, n_parameters), from one system per mode.
+        """Return the shape derivatives ∂φ/∂θ, (n, r, m, n_parameters), from one linear system per mode.
 
         They are NaN for repeated eigenvalues.
         """
@@ -218,9 +218,9 @@ class ReducedBlock(Block):
     def _solve_borders(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
-        """Return shape derivatives ∂φ, (n, r, m, q), from one system per mode, given ∂K φ and ∂M φ.
+        """Return the shape derivatives ∂φ, (n, r, m, q), from one linear system per mode, given ∂K φ and ∂M φ.
 
-        Both arguments have the shape of ∂φ, with q directions.
+        Both arguments have the shape of ∂φ. The q directions are along the last axis.
         """
         K, M = self.matrices(theta)
         slopes = np.empty(dK.shape)
@@ -232,7 +232,10 @@ class ReducedBlock(Block):
     def _slopes(
         self, theta: FloatArray, coefficient: ParametricMatrix, rows: FloatArray, phi: FloatArray, count: int
     ) -> FloatArray:
-        """Return modal products φ_kᵀ (∂K/∂θ) φ_i for all k and lowest `count` i, (n, r, count, n_parameters)."""
+        """Return modal products φ_kᵀ (∂K/∂θ) φ_i, shape (n, r, count, n_parameters).
+
+        Mode k is any mode, and mode i is one of the lowest `count`.
+        """
         n, r, _ = phi.shape
         products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)
         forms = np.swapaxes(phi, 1, 2)[:, None] @ products
@@ -302,7 +305,7 @@ def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
 
 
 def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
-    """Return Vᵀ K V, using only the nonempty rows of K if K is large and few of its rows are nonempty."""
+    """Return Vᵀ K V. If K is large and few of its rows are nonempty, only these rows are multiplied."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
         return np.asarray(basis.T @ (matrix @ basis))

@@ -1,4 +1,4 @@
-"""Disk cache for trained reduced bases, each stored under a hash of the problem it was trained for.
+"""Disk cache for trained reduced bases, each stored under a hash of the problem for which it was trained.
 
 If a file is missing, damaged or of another version, the basis is trained again. The cache is in the user's cache
 directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``. If that variable is set but
@@ -26,7 +26,10 @@ _TITLE = "fmu basis 1"
 
 
 def load_basis(key: object) -> dict[str, FloatArray] | None:
-    """Return the arrays that `store_basis` stored for `key` (JSON-able), or None if there are none."""
+    """Return the arrays that `store_basis` stored for `key`, or None if there are none.
+
+    `key` is serialised as JSON.
+    """
     path = _path(key)
     if path is None:
         return None

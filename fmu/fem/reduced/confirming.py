@@ -3,9 +3,10 @@
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
 Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the modes at
 the anchor points. The corrections are w = Ā⁻¹ r with the factors from training. At the first point K − σ M is
-factorised: its inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If
-this number does not agree with the modes found, the ordinary eigensolver is used from then on, as it is where the
-iterations do not converge. Several points are tasks for the block's engine, if it has one.
+factorised. Its inertia is the number of eigenvalues below σ (Sylvester), and shows whether a mode is missing. If
+this number does not agree with the modes found, the ordinary eigensolver is used from then on. The ordinary
+eigensolver is also used where the iterations do not converge. Several points are tasks for the block's engine, if
+it has one.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class _Start(NamedTuple):
     alpha : float
         The factor α in the bound A ≥ α Ā.
     n_wanted, n_converged : int
-        Number of modes that are computed, and number of modes that must converge.
+        Number of modes to compute, and number of modes that must converge.
     """
 
     theta: FloatArray
@@ -55,7 +56,7 @@ class _Start(NamedTuple):
 
 
 class ConfirmedBlock(FullBlock):
-    """A large block whose full modes in the trained box are iterated from the modes of its reduced model.
+    """A large block whose full modes inside the trained box are iterated from the modes of its reduced model.
 
     Parameters
     ----------
@@ -86,9 +87,9 @@ class ConfirmedBlock(FullBlock):
         return lam, phi
 
     def _from_ritz(self, theta: FloatArray, count: int) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Iterate the modes at theta (n, p); return λ (wanted,) and shapes (size, wanted) for converged points.
+        """Return the iterated modes at theta (n, p), keyed by point index, for the points that converge.
 
-        The dict's keys are point indices. It is empty if a mode is missing.
+        Each entry is λ (wanted,) and shapes (size, wanted). The dict is empty if a mode is missing.
         """
         started: list[int] = []
 

@@ -3,8 +3,8 @@
 Decisions based on these costs do not depend on a clock.
 
 The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
-with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Only ratios of costs are compared; on other machines
-these are correct within a factor of two.
+with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Only ratios of costs are compared. On other machines
+the ratios are correct within a factor of two.
 """
 
 from __future__ import annotations
@@ -55,7 +55,10 @@ class Cost:
 
     @classmethod
     def of(cls, block: FullBlock, factor: Factor) -> Cost | None:
-        """Return a block's cost, given its stiffness factors, or None for a small block that is solved densely."""
+        """Return a block's cost, given its stiffness factors.
+
+        Return None for a small block, which is solved densely.
+        """
         if block.size <= DENSE_LIMIT:
             return None
         n_terms = len(block.K_terms) + (0 if block.constant_mass else len(block.M_terms))
@@ -88,10 +91,10 @@ class Cost:
 
 
 def memory_in_words(model: SeparableModel) -> str:
-    """Return a sentence on the memory that a run with a reduced model needs, or "" without large blocks.
+    """Return a sentence on the memory that a run with a reduced model needs, or "" if no block is large.
 
-    The sentence also says if less memory is free. The constants come from frames, solids and shells in the study
-    of large structures; the estimates agree with the measured peaks within a fifth.
+    The sentence also says if less memory than that is free. The constants come from frames, solids and shells in
+    the study of large structures, where the estimates agree with the measured peaks within a fifth.
     """
     kept = [model.last_factor(dofs).factor for dofs in model.blocks if len(dofs) >= LARGE]
     of_factors = sum(factor.n_bytes for factor in kept if factor is not None)

@@ -1,4 +1,4 @@
-"""The trial space of one block in training: it grows by corrections of its modes, and is truncated at the end.
+"""The trial space of one block in training: it grows by corrections of modes, and is finally truncated.
 
 A correction w = Ā⁻¹ r from a residual r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94). One
 factorisation of Ā serves all points in the box. The corrections at a few points are compressed by proper
@@ -62,7 +62,7 @@ class Learner:
     space : Space
     anchors : Anchors
     shared : SharedResiduals or None
-        Residuals of the space; None if each is solved for separately.
+        Residuals of the space, or None if each residual needs its own solve.
     theta : ndarray, shape (n, n_parameters)
         Points visited so far.
     share : ndarray, shape (n,)
@@ -91,14 +91,15 @@ class Learner:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the space has reached its largest allowed size without being whole."""
+        """Whether the space has reached its largest allowed size but has fewer vectors than degrees of freedom."""
         return self.is_full and not self.is_whole
 
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
-        """Grow the space at theta (n, p) where needed; return a mask (n,) of points with small enough errors.
+        """Grow the space at theta (n, p) where needed; return a mask (n,) of the points with small enough errors.
 
-        The errors of the lowest m modes are compared with `SHARE` times `share` times `allowed` (m,). Where an
-        error exceeds `GROWN` times `share` times `allowed`, its corrections are added to the space.
+        Errors are small enough if those of the lowest m modes are at most `SHARE` times `share` times `allowed`
+        (m,). If an error exceeds `GROWN` times `share` times `allowed`, that mode's correction is added to the
+        space.
         """
         allowed = share * allowed
         good = np.empty(len(theta), dtype=bool)
@@ -157,7 +158,7 @@ class Learner:
         self._share(self.space.V[:, known:])
 
     def share_with(self, basis: FloatArray) -> SharedResiduals | None:
-        """Restrict the shared residuals to a basis (n_dof, q) within the space. Return None if there are none."""
+        """Return the shared residuals for a basis (n_dof, q) within the space, or None if there are none."""
         return None if self.shared is None else self.shared.restrict(self.space.V.T @ (self.anchors.first @ basis))
 
     def _share(self, X: FloatArray) -> None:
@@ -165,10 +166,10 @@ class Learner:
             self.shared = self.shared.grown(X, partial(self.anchors.solve, 0))
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
-        """Add as many principal directions of the corrections C (n_dof, m) to the space as the errors require.
+        """Add principal directions of the corrections C (n_dof, m) to the space, as many as errors require.
 
         The remaining energy of each correction is then at most its `target` (m,) or the fraction `_STEP` of its
-        own energy, unless the space becomes full first.
+        own energy, unless the space reaches its largest size first.
         """
         gram = C.T @ (self.anchors.first @ C)
         energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
@@ -195,9 +196,11 @@ class Learner:
         return True
 
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
-        """Return a small space whose frequencies agree within `tolerance` at all visited points, and a rotation.
+        """Return a small space that reproduces the visited points' frequencies, and a rotation (q, q).
 
-        The columns of the rotation (q, q) are the space's principal directions, in descending order of energy.
+        The frequencies agree within `tolerance`.
+
+        The rotation's columns are the space's principal directions, in descending order of energy.
 
         The modes are compressed by proper orthogonal decomposition in the inner product of Ā, in which the energy
         of an error is the relative error of λ. The space has as many vectors as the worst points need. Weights
@@ -251,7 +254,7 @@ class Learner:
 def count_needed(
     full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
 ) -> tuple[RankPairing | None, dict[int, int]]:
-    """Return the pairing as fixed ranks, or None if the ranks vary, and how many modes each block needs."""
+    """Return the pairing as fixed ranks, or None if the ranks vary, and the number of modes each block needs."""
     # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
     n = min(map(len, visited))
@@ -270,9 +273,9 @@ def balance_directions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal directions for the columns of Z, strongest first, and the energies that remain.
 
-    Proper orthogonal decomposition minimises the mean of the remaining energies. Columns with a large remainder
-    have a larger weight in the next decomposition, which reduces the largest remainder (as Lawson's algorithm does
-    for polynomials: Lawson 1961, *Contributions to the theory of linear least maximum approximation*).
+    Proper orthogonal decomposition minimises the mean remaining energy. Here, columns with a large remainder get a
+    larger weight in the next decomposition, which reduces the largest remainder. Lawson's algorithm does this for
+    polynomials (Lawson 1961, *Contributions to the theory of linear least maximum approximation*).
 
     Returns
     -------
@@ -338,7 +341,7 @@ def snapshot_basis(
 
 
 def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -> int:
-    """Return the smallest size with low < size ≤ high that is enough, searching from a guess.
+    """Return the smallest size with low < size ≤ high for which `is_enough` is True, searching from a guess.
 
     `high` is assumed to be enough.
     """
@@ -364,7 +367,7 @@ def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -
 
 
 def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:
-    """Return the relative frequency differences (n, m) between two arrays of λ, with 0 for rigid-body modes."""
+    """Return the relative frequency differences (n, m) between two arrays of λ; rigid-body modes have 0."""
     rigid = (lam <= RIGID * lam[:, -1:]) & (reduced <= 10.0 * RIGID * lam[:, -1:])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rigid, 0.0, np.abs(np.sqrt(reduced / lam) - 1.0))

@@ -1,4 +1,4 @@
-"""Points in a box for training and its checks, basis sizes, and mass-orthonormal bases."""
+"""Points in a box for training and verification, basis sizes, and mass-orthonormal bases."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ def affordable(n_dof: int) -> int:
     """Return the largest useful number of basis vectors for a block with `n_dof` degrees of freedom.
 
     A reduced solve with r vectors takes about 60 ns · r², and more from r = 1000 on. A sparse solve of the full
-    block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with
-    r = 12 √n_dof. Blocks of up to `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors:
-    their full model is solved one theta at a time, which is never faster than a batch.
+    block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with r
+    = 12 √n_dof. Blocks with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all
+    vectors. Their full model is solved one theta at a time, which is never faster than a batch.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return the largest number of trial vectors for a block: twice the affordable number, within 2 GiB."""
+    """Return the largest number of trial vectors for a block: twice the affordable number, limited to 2 GiB."""
     return n_dof if n_dof <= DENSE_LIMIT else min(2 * affordable(n_dof), n_dof, MEMORY // (8 * n_dof))
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A reduced model, the pairing to use with it, and the box it was trained for.
+    """A reduced model, the pairing to use with it, and the box for which it was trained.
 
     Attributes
     ----------
@@ -53,11 +53,11 @@ class Trained:
     confirmed : bool
         Whether training succeeded: the errors at fresh points were all within the tolerance.
     anchors : mapping of int to Anchors
-        Anchor points of each block, by block index, if training used any.
+        Anchor points of each block, keyed by block index, if training used any.
     elsewhere : float or None
         Tolerance for the whole box if a smaller tolerance applies to part of it; otherwise None.
     shared : mapping of int to SharedResiduals or None
-        Residuals of large blocks, by block index.
+        Residuals of large blocks, keyed by block index.
     """
 
     blocks: Parts
@@ -75,9 +75,9 @@ class Trained:
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:
-    """Return points (m, ndim) in a box: `n` from a scrambled Sobol sequence, n/2 on its faces, and its corners.
+    """Return points (m, ndim) in a box: `n` from a scrambled Sobol sequence, n/2 on the faces, and the corners.
 
-    With more than six parameters, 64 random corners are taken instead of all.
+    If there are more than six parameters, 64 random corners replace the full set.
     """
     from scipy.stats import qmc
 
@@ -95,10 +95,12 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 
 
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
-    """Return m ≤ n points (m, n_parameters) of a box near zero in the parameters whose lower bound is zero.
+    """Return up to `n` points (m, n_parameters) in a box, each with some parameters near zero.
 
-    If a stiffness nearly vanishes, a structure has modes that do not occur where this stiffness is zero, on the
-    face of the box. Points that cover the box evenly miss these modes too.
+    These are parameters whose lower bound is zero.
+
+    If a stiffness nearly vanishes, the structure has modes that do not exist where this stiffness is exactly zero,
+    on the face of the box. Points that cover the box evenly miss these modes too.
     """
     rng = np.random.default_rng(n + seed)
     points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))
@@ -110,8 +112,8 @@ def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0
 def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> FloatArray:
     """Return a basis of the span of V (size, r), orthonormal in the block's mass matrix at `centre`.
 
-    If degrees of freedom have no mass, M is singular, and the basis is orthonormal in M + K/λ instead, with the
-    mean λ = tr Vᵀ K V / tr Vᵀ M V. Raises SingularAnchorError if M is not positive definite in the space.
+    If degrees of freedom have no mass, M is singular. The basis is then orthonormal in M + K/λ, with the mean
+    λ = tr Vᵀ K V / tr Vᵀ M V. Raise SingularAnchorError if M is not positive definite in the space.
     """
     K, M = (sum_at(terms, centre) for terms in (block.K_terms, block.M_terms))
     if block.n_modes < block.size:

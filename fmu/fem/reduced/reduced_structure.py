@@ -32,7 +32,9 @@ _WIDENED, _REFINED = 3, 20
 
 
 class ReducedStructure(Approximation):
-    """A structure solved in a reduced basis inside a box, and with its full matrices outside it or on failure.
+    """A structure solved in a reduced basis inside a box.
+
+    The full matrices are used outside the box and on failure.
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ class ReducedStructure(Approximation):
         return other
 
     def extend(self, lower: FloatArray, upper: FloatArray) -> Self:
-        """Return a copy that uses the reduced basis in a larger box than it was trained for, as a rough model."""
+        """Return a rough model: a copy that uses the reduced basis in a larger box than it was trained for."""
         other = copy(self)
         other.lower, other.upper = np.minimum(lower, self.lower), np.maximum(upper, self.upper)
         return other
@@ -113,7 +115,7 @@ class ReducedStructure(Approximation):
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return a copy with another tolerance outside the part of the box that matters."""
+        """Return a copy with another tolerance `elsewhere`, outside the part of the box that matters."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
@@ -174,10 +176,10 @@ class ReducedStructure(Approximation):
         return found, *candidate_numbers(counts)
 
     def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
-        """Return the full model's modes at theta (n, n_parameters), reusing training's factors for large blocks.
+        """Return the full model's modes at theta (n, n_parameters), reusing factors for large blocks.
 
-        For blocks with `fmu.fem.modes.solver.LARGE` degrees of freedom or more, iterations start from the modes of
-        the reduced model. They end when the estimated relative frequency errors are below 1e-8. The number of
+        For blocks with at least `fmu.fem.modes.solver.LARGE` degrees of freedom, iterations start from the reduced
+        model's modes. They end when the estimated relative frequency errors are below 1e-8. The number of
         eigenvalues is verified at the first point.
         """
         within = self.within(theta)
@@ -200,10 +202,10 @@ class ReducedStructure(Approximation):
     def frequency_bound(self, theta: FloatArray) -> FloatArray:
         """Return bounds on the relative errors of the reduced model's frequencies, shape (n, n_modes).
 
-        The bounds follow from the residuals of the paired modes at theta (n, n_parameters); the ranks of these
-        modes in the spectrum are not verified. A bound is infinite where none is known.
-        `fmu.fem.reduced.residuals` explains which parts of the bound are proven and which are estimated. The cost
-        is one linear solve per mode, and no eigenproblem; the matrix is factorised at the first call.
+        The bounds follow from the residuals of the paired modes at theta (n, n_parameters). They do not verify the
+        ranks of these modes in the spectrum. A bound is infinite if none is known. `fmu.fem.reduced.residuals`
+        explains which parts of the bound are proven and which are estimated. The cost is one linear solve per
+        mode, and no eigenproblem. The matrix is factorised at the first call.
         """
         with single_thread():
             inside = self.within(theta)
@@ -213,7 +215,7 @@ class ReducedStructure(Approximation):
         return bound
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the structure and its pairing, which determine the basis."""
+        """Return the data that identify the structure and its pairing, and hence determine the basis."""
         return self._truth.configuration()
 
     def _solve(self, theta: FloatArray, gradient: bool) -> ModalSolution:
@@ -230,7 +232,10 @@ class ReducedStructure(Approximation):
         theta: FloatArray,
         gradient: bool,
     ) -> Solution:
-        """Return the reduced model's solution, replaced by the full model's outside the box and on failure."""
+        """Return the reduced model's solution.
+
+        Outside the box and on failure, the full model's solution replaces it.
+        """
         count_solves(len(theta), with_gradients=gradient)
         with single_thread():
             within = (theta >= self.lower) & (theta <= self.upper)
@@ -247,7 +252,7 @@ class ReducedStructure(Approximation):
 
 
 def reduced_in(model: ModalModel) -> ReducedStructure | None:
-    """Return the model if it has a reduced basis, or None if it is any other model."""
+    """Return the model if it has a reduced basis, otherwise None."""
     return model if isinstance(model, ReducedStructure) else None
 
 
@@ -257,7 +262,7 @@ def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
-    """Return the largest tolerance outside the part of the box that matters, or None if no model has one."""
+    """Return the largest `elsewhere` tolerance among a model's reduced structures, or None if none has one."""
     return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
 
 
@@ -342,9 +347,9 @@ def _narrow(
 def train_at(
     truth: PairedStructure, theta: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[ReducedStructure, dict[str, FloatArray]]:
-    """Train a reduced model only at points theta (n, n_parameters) in a box; return it and its `restore` state.
+    """Train a reduced model only at points theta (n, n_parameters) in a box, without checking it at other points.
 
-    Its errors at other points are not examined.
+    Return the model, and the state from which `restore` rebuilds it.
     """
     training = Training(truth.full_blocks, truth.rule, lower, upper, LOOSE)
     with single_thread():

@@ -73,7 +73,7 @@ class Bounded(NamedTuple):
 def bound_errors(
     space: Space, anchors: Anchors, theta: FloatArray, count: int, shared: SharedResiduals | None = None
 ) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) and their error bounds, with NaN where the solver fails.
+    """Return the lowest `count` modes at theta (n, p) and their error bounds; NaN where the solver fails.
 
     If the space's residuals are given in `shared`, no linear system is solved.
     """
@@ -118,11 +118,11 @@ def _solve_residuals(
 
 
 def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> FloatArray:
-    """Return the lowest λ (n,), after the first `count` modes, of a mode that the trial vectors do not represent.
+    """Return the lowest λ (n,), beyond the first `count` modes, of a mode that the trial vectors do not represent.
 
     The modes are compared by rank: `lam` (n, m) are their Ritz values in the trial vectors, and `known` (n, m) in
-    the modes at the anchor points. If all but the last are represented, the last is taken; infinite if m =
-    `count`.
+    the space of the modes at the anchor points. If all modes but the last are represented, the last one is
+    returned. The result is infinite if m = `count`.
     """
     if lam.shape[1] == count:
         return np.full(len(lam), np.inf)
@@ -174,7 +174,7 @@ def frequency_error(
 
 
 def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
-    """Return the relative increase (n, m) of descending eigenvalues ν (n, m) on adding √(ν_i ν_j) relative_ij."""
+    """Return how much descending eigenvalues ν (n, m) increase, relatively, if √(ν_i ν_j) relative_ij is added."""
     size = np.sqrt(nu)
     B = size[:, :, None] * relative * size[:, None, :]
     added = B.copy()
@@ -194,9 +194,9 @@ class FrequencyBound:
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     anchors : mapping of int to Anchors
-        Existing anchor points, by block index; missing ones are computed when they are needed.
+        Existing anchor points, keyed by block index; missing ones are computed when they are needed.
     shared : mapping of int to SharedResiduals or None, optional
-        Residuals of reduced blocks, by block index; without them, each residual is solved for.
+        Residuals of reduced blocks, keyed by block index. If they are missing, each residual needs its own solve.
     """
 
     full: tuple[FullBlock, ...]
@@ -219,10 +219,10 @@ class FrequencyBound:
         return error
 
     def find_far(self, theta: FloatArray, counts: Mapping[int, int], tolerance: float) -> Far | None:
-        """Return the point in theta (n, p) farthest from a block's anchor points, if errors are not bounded there.
+        """Return the point in theta (n, p) farthest from a block's anchor points, if bounds are poor there.
 
-        The error bounds of the lowest `counts` modes of each block are compared with `tolerance` at its farthest
-        point. Returns None if no point is far, or the bounds are small enough there.
+        The error bounds of the lowest `counts` modes of each block are compared with `tolerance` at that block's
+        farthest point. Return None if no point is far, or the bounds are small enough.
         """
         for b, count in counts.items():
             space, anchors = self.trial(b)
@@ -232,7 +232,7 @@ class FrequencyBound:
         return None
 
     def trial(self, b: int) -> tuple[Space, Anchors]:
-        """Return the space of reduced block `b`, and its anchor points, factorised at the first call."""
+        """Return the trial space of reduced block `b` and its anchor points, factorised at the first call."""
         if b not in self._anchors:
             self._anchors[b] = Anchors(self.full[b], self.lower, self.upper)
         anchors, reduced = self._anchors[b], self.reduced[b]
@@ -253,8 +253,8 @@ class FrequencyBound:
 def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:
     """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ.
 
-    By Sylvester's law no mode below σ is then missing. Returns None if the matrix is singular. σ lies in the
-    relatively widest gap above one of the λ with indices `first` to `last` − 1, or to the end if `last` is None.
+    By Sylvester's law no mode below σ is then missing. Return None if the matrix is singular. σ lies in the
+    relatively widest gap above one of the λ with indices `first` to `last` − 1 (to the end if `last` is None).
     """
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
     below = first + int(np.argmax(gap[first:last])) + 1

@@ -51,14 +51,14 @@ class SharedResiduals:
 
     @classmethod
     def of(cls, block: FullBlock) -> Self | None:
-        """Return shared residuals for a space without vectors, or None for a small block or many terms."""
+        """Return shared residuals for a space without vectors, or None if the block is small or has many terms."""
         n_terms = len(block.K_terms) + len(block.M_terms)
         if block.size < LARGE or n_terms > _MOST_TERMS:
             return None
         return cls(block, np.empty((0, 0)), np.empty((len(block.M_terms), 0, 0)))
 
     def grown(self, X: FloatArray, solve: Callable[[FloatArray], FloatArray]) -> Self | None:
-        """Return shared residuals after adding vectors X (n_dof, q) to the space, or None if W grows too large.
+        """Return shared residuals for the space with vectors X (n_dof, q) added, or None if W would be too large.
 
         `solve` returns Ā⁻¹ b for b (n_dof, m).
         """
@@ -82,7 +82,7 @@ class SharedResiduals:
         return grown
 
     def restrict(self, S: FloatArray) -> Self:
-        """Return the shared residuals of the smaller space V S, for S (r, q), without the vectors W."""
+        """Return the shared residuals for the smaller space V S, S (r, q). The vectors W are not included."""
         T = len(self.energy) // len(S)
 
         def project(forms: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Spaces of trial vectors, onto which every term of K and M is projected; training solves and enlarges them."""
+"""Spaces of trial vectors, onto which every term of K and M is projected. Training solves and enlarges them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Space:
         The trial vectors.
     K, M : sequence of ndarray, each of shape (n_terms, q, width)
         The lower triangles of the projected terms, in strips of q rows; `width` is the number of rows up to the
-        end of the strip. Thus the space is enlarged or truncated without copying the existing strips.
+        end of the strip. The space can thus be enlarged or truncated without copying the existing strips.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
 
 
 def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
-    """Cut the strips of the lower triangles to the first `size` rows and columns."""
+    """Return the strips of the lower triangles, cut to the first `size` rows and columns."""
     leading: list[FloatArray] = []
     for part in rows:
         left = size - sum(of.shape[1] for of in leading)

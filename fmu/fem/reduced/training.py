@@ -2,7 +2,7 @@
 
 K + s M is factorised at one or a few anchor points in the box (`fmu.fem.reduced.anchors`). At every visited point
 the reduced problem is solved. The residuals of its modes give error bounds (`fmu.fem.reduced.residuals`) and the
-vectors that the space lacks (`fmu.fem.reduced.learning`). When the errors at a set of fresh points, including
+vectors that the space lacks (`fmu.fem.reduced.learning`). Once the errors at a set of fresh points, including
 corners and faces, are within the tolerance, the space is truncated to the final basis. Full solves at a few
 further points verify the basis.
 """
@@ -103,10 +103,11 @@ class Training:
         self._seed, self._cut_seed, self._cut_share = 0, _CUTS, _CUT
 
     def run(self) -> Trained:
-        """Train until errors at fresh points, corners and faces included, are small and full solves agree.
+        """Train until the errors at fresh points, including corners and faces, are small and full solves agree.
 
         Training ends without success after the last round, or when it has cost as much as `BUDGET` full solves. It
-        also does if the basis would be larger than `affordable`; the basis is then truncated to that size.
+        also ends without success if the basis would be larger than `affordable`; it is then truncated to that
+        size.
         """
         counts = self.rule.counts(self.full)
         with phase("training"):
@@ -164,9 +165,9 @@ class Training:
     def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
         """Continue training to a smaller `tolerance` in a region of the box, yielding the model before each round.
 
-        In each round, `region` is called for fresh points (n, n_parameters). Training ends when errors at all of
-        these are small enough. It ends without success, `confirmed` being False, if the basis becomes larger than
-        `affordable`, the budget is spent, or after the last round.
+        In each round, `region` is called for fresh points (n, n_parameters). Training ends when the errors at all
+        these points are small enough. It ends without success (`confirmed` is False) if the basis becomes larger
+        than `affordable`, if the budget is spent, or after the last round.
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
@@ -184,7 +185,7 @@ class Training:
     def at(self, theta: FloatArray) -> Trained:
         """Return a model whose large blocks have a basis built from their full modes at theta (n, n_parameters).
 
-        The basis has the largest useful number of vectors. Its accuracy away from these points is not examined.
+        The basis has the largest useful number of vectors. Its accuracy away from these points is not checked.
         """
         centre = 0.5 * (self.lower + self.upper)
         for b, count in self.rule.counts(self.full).items():
@@ -205,10 +206,10 @@ class Training:
         return Trained(blocks, self.fixed or self.rule, self.lower, self.upper, *found)
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays from which `restore` rebuilds the trained model, by name.
+        """Return the arrays from which `restore` rebuilds the trained model, keyed by name.
 
-        ``elsewhere`` is the tolerance outside the region, if there is one. ``far`` has the fields of `Far` after
-        theta: the parameter and the limit beyond which errors are not bounded well.
+        ``elsewhere`` is the tolerance outside the region, if there is one. ``far`` contains the fields of `Far`
+        except theta: the parameter, and the limit beyond which error bounds are poor.
         """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
         if self.is_narrow:
@@ -286,12 +287,12 @@ class Training:
         return sum(learner.space.size for learner in self.learners.values())
 
     def _allowed_errors(self, b: int) -> FloatArray:
-        """Return the errors (m,) allowed in the needed modes of block `b`, or in all candidates at first."""
+        """Return the errors (m,) allowed in block `b`'s needed modes or, until known, in all candidates."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
     def _cut(self) -> None:
-        """Truncate the spaces to small bases with errors within the tolerance at all visited points."""
+        """Truncate the spaces to small bases that meet the tolerance at all visited points."""
         for b, needed in self.n_trained.items():
             self.reduced[b] = ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
             self.shared[b] = self.learners[b].share_with(self.reduced[b].basis)
@@ -309,20 +310,21 @@ class Training:
 
     @property
     def is_accurate(self) -> bool:
-        """Whether training was stopped neither by the largest basis size nor by its budget."""
+        """Whether training ended neither because of the largest basis size nor because of its budget."""
         return not (self.is_cut() or self.is_spent)
 
     def prefers_full(self) -> bool:
         """Return True if the full model should be used, because the reduced model is inaccurate and saves little.
 
-        With a full solve of cost `CHEAP`, a run of 20 000 solves takes minutes.
+        It saves little if a full solve costs no more than a reduced one, or at most `CHEAP`. A run of 20 000 full
+        solves then takes minutes.
         """
         full = sum(cost.full for cost in self.costs.values())
         reduced = sum(self.costs[b].of_reduced(of.size) for b, of in self.reduced.items() if b in self.costs)
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
-        """Visit theta (n, p) in block `b`, and return a mask (n,) of points with small enough errors.
+        """Visit theta (n, p) in block `b`, and return a mask (n,) of the points with small enough errors.
 
         See `Learner.visit`.
         """

@@ -3,13 +3,13 @@
 Modes that are numbered in order of frequency swap where they cross. As functions of the parameters, their
 eigenvalues have a kink there, and nearly a kink where the modes veer. A pair of modes obeys a 2 × 2 eigenproblem,
 whose trace and determinant are smooth functions of stiffness and mass (Kato 1995, *Perturbation Theory for Linear
-Operators*, II §1). So are the mean s and the squared half-distance d of z = log λ:
+Operators*, II §1). The mean s and the squared half-distance d of z = log λ are therefore smooth too:
 
 s = ½ (z₁ + z₂),  d = ¼ (z₂ − z₁)²,  from which  z = s ∓ √d.
 
 If d is uncertain, with expectation d̂ and variance v, the expectation of √d is taken as the root of ½ (d̂ + h),
-and its variance as v/(4h), with h² = d̂² + v. This is correct to first order for large d̂, and of the right size
-for d̂ = 0.
+and its variance as v/(4h), with h² = d̂² + v. This is correct to first order for large d̂, and has the right order
+of magnitude for d̂ = 0.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class ClosePairs:
     def of(cls, z: FloatArray) -> ClosePairs:
         """Find pairs of adjacent modes that come close at some point, for z = log λ of shape (N, n_modes).
 
-        The modes of a pair must be in ascending order at all N points. Of two pairs that share a mode, the closer
-        pair is taken.
+        The modes of a pair must be in ascending order at all N points. If two pairs share a mode, the closer pair
+        is used.
         """
         gap = np.diff(z, axis=1)
         closeness = np.min(gap, axis=0) / np.median(gap, axis=0)
@@ -54,7 +54,7 @@ class ClosePairs:
         return cls(tuple(sorted(found)))
 
     def learnt(self, z: FloatArray) -> FloatArray:
-        """Return the quantities to fit, (N, n_modes): s and d in the two columns of a pair, z for other modes."""
+        """Return the quantities to fit, (N, n_modes): s and d in a pair's two columns, z for other modes."""
         found = z.copy()
         for i in self.first:
             found[:, i] = 0.5 * (z[:, i] + z[:, i + 1])
@@ -89,7 +89,7 @@ class ClosePairs:
         return dz, dz_variance
 
     def of_eigenvalues(self, learnt: FloatArray) -> FloatArray:
-        """Return the elements of an array (n_modes,) that belong to s and z, leaving out each d."""
+        """Return the elements of an array (n_modes,) that belong to s and z, without those that belong to d."""
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
@@ -102,7 +102,7 @@ class ClosePairs:
 
 
 def _root(d: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return E[√d], and h (see the module), for d with expectation `d` and variance `v`, all of one shape."""
+    """Return E[√d] and h (see the module), given the expectation `d` and the variance `v`; all have one shape."""
     h = np.sqrt(d**2 + v + _LEAST**2)
     # the second form is for negative d, without cancellation
     square = 0.5 * np.where(d >= 0.0, d + h, (v + _LEAST**2) / (h - np.minimum(d, 0.0)))

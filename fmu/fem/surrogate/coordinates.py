@@ -15,16 +15,16 @@ logarithm of zero is infinite, and an extrapolation so far out is meaningless.""
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Map between theta in a box and scaled coordinates x, parameter by parameter.
+    """Map between theta in a box and scaled coordinates x, applied to each parameter separately.
 
     The map is x = (g(θ) − centre)/half, where g(θ) is log θ or θ. An eigenvalue is a linear form in the
     stiffnesses divided by a linear form in the masses (the Rayleigh quotient). Its logarithm is therefore nearly
-    linear in the logarithms of both.
+    linear in the logarithms of the stiffnesses and masses.
 
     Attributes
     ----------
     lower, upper : ndarray, shape (n_parameters,)
-        Bounds of the box, which are mapped to −1 and 1; theta outside the box are mapped too.
+        Bounds of the box, which are mapped to −1 and 1. Points theta outside the box are mapped too.
     is_log : ndarray of bool, shape (n_parameters,)
         Whether g is the logarithm, for each parameter.
     """
@@ -35,7 +35,7 @@ class Coordinates:
 
     @classmethod
     def of_box(cls, lower: FloatArray, upper: FloatArray, positive: BoolArray) -> Coordinates:
-        """Return the coordinates for a box, logarithmic in `positive` parameters with a lower bound above zero."""
+        """Return coordinates for a box. `positive` parameters with a lower bound above zero are logarithmic."""
         return cls(lower, upper, positive & (lower > 0.0))
 
     def to_x(self, theta: FloatArray) -> FloatArray:
@@ -50,7 +50,7 @@ class Coordinates:
         return np.where(x == -1.0, self.lower, np.where(x == 1.0, self.upper, theta))
 
     def slope(self, theta: FloatArray) -> FloatArray:
-        """Return ∂x/∂θ for each parameter at theta, both of shape (n, n_parameters), with 0 beyond `FARTHEST`."""
+        """Return ∂x/∂θ for each parameter at theta, both of shape (n, n_parameters); it is 0 beyond `FARTHEST`."""
         half = 0.5 * (self._g(self.upper) - self._g(self.lower))
         goes_on = np.abs(self._map_without_limit(theta)) < FARTHEST
         return np.where(goes_on, 1.0, 0.0) / np.where(self.is_log & goes_on, theta, 1.0) / half

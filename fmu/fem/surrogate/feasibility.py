@@ -23,7 +23,7 @@ EDGE = 0.9
 
 
 class Feasibility:
-    """Support-vector classifier for points that can be solved; always True if no solve failed.
+    """Support-vector classifier for the points at which a model can be solved; always True if no solve failed.
 
     Parameters
     ----------
@@ -65,10 +65,10 @@ class Feasibility:
 
 
 def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) -> str:
-    """Return a phrase that says where a model failed, by bounds that few solved points satisfy.
+    """Return a phrase that describes where a model failed, by bounds that few of the solved points satisfy.
 
-    The regions are leaves of a decision tree of depth three that have at least a fifth as many failures as the
-    worst leaf.
+    The regions are leaves of a decision tree of depth three. A leaf is named if it has at least a fifth as many
+    failures as the worst leaf.
 
     Parameters
     ----------

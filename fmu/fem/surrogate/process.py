@@ -1,7 +1,7 @@
-"""Gaussian processes with a linear trend, fitted by scikit-learn; no bit of a result depends on the batch.
+"""Gaussian processes with a linear trend, fitted by scikit-learn.
 
-With x the `Coordinates` of theta, the prior of a quantity y, scaled to zero mean and unit variance, has the
-covariance
+Predictions are bitwise independent of the batch. With x the `Coordinates` of theta, the prior of a quantity y,
+scaled to zero mean and unit variance, has the covariance
 
 k(x, x′) = a (1 + xᵀx′) + c exp(−½ Σ_j (x_j − x′_j)²/ℓ_j²) + s² [x = x′].
 
@@ -102,10 +102,10 @@ class Process:
         return self._expect(k)
 
     def limit(self, x: FloatArray) -> None:
-        """Limit the variances from `predict` to the largest one at points x (n, d), which are posterior draws.
+        """Limit the variances from `predict` to the largest one at the posterior draws x (n, d).
 
-        If the data contradict the model, a likelihood with the surrogate's variance would otherwise prefer theta
-        far from all solves to the theta of the best fit.
+        If the data contradict the model, a likelihood that includes the surrogate's variance would otherwise
+        prefer theta far from all solves to the best-fitting theta.
         """
         k, _ = self._covariances(x)
         self.most = float(np.max(self._remaining_variance(x, _product(k, self._root.T))))
@@ -113,7 +113,7 @@ class Process:
     def predict(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the expected y at x (n, d) and its variance without the solver's scatter, (n, q) each.
 
-        Variances are capped (see `limit`) if `limited`.
+        If `limited`, the variances are capped; see `limit`.
         """
         k, _ = self._covariances(x)
         left = self._remaining_variance(x, _product(k, self._root.T))
@@ -179,7 +179,7 @@ class Process:
 
 
 def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return k (n, N) times a matrix (N, N), computed in chunks of equal size so that rows are independent."""
+    """Return k (n, N) times a matrix (N, N), in chunks of equal size so that no row depends on the others."""
     n, N = k.shape
     padded = np.zeros((-(-n // _CHUNK) * _CHUNK, N))
     padded[:n] = k

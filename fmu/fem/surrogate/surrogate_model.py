@@ -41,7 +41,7 @@ class Design:
 
     @property
     def failed(self) -> BoolArray:
-        """Mask of failed solves, shape (N,). A frequency of zero counts as a failure, as it has no logarithm."""
+        """Mask of failed solves, shape (N,). A frequency of zero has no logarithm, so it counts as a failure."""
         return ~(np.isfinite(self.frequencies) & (self.frequencies > 0.0)).all(axis=1)
 
     def join(self, other: Design) -> Design:
@@ -57,7 +57,7 @@ class SurrogateModel(ModalModel):
     """Gaussian processes for the logarithms of a slow model's paired eigenvalues, and for its shapes if needed.
 
     The modes are paired at each design point before the processes are fitted, so that a process follows its mode
-    even where modes cross. Shapes have unit length at the sensors, and the sign of the reference.
+    even where modes cross. Shapes have unit length at the sensors, and the sign of the reference shape.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class SurrogateModel(ModalModel):
     coordinates : Coordinates
         Map from theta to the inputs of the processes.
     reference : ndarray, shape (n_sensors, n_modes), optional
-        Measured shapes, which determine the signs. Without them shapes are not predicted.
+        Measured shapes, which determine the signs. If they are not given, shapes are not predicted.
     before : SurrogateModel, optional
         A surrogate with a smaller design; the search for hyper-parameters begins at its values.
 
@@ -132,7 +132,7 @@ class SurrogateModel(ModalModel):
         return seen.frequencies, seen.frequency_slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Predict frequencies, and shapes if fitted, with variances, and with derivatives if `gradient`."""
+        """Return predicted frequencies and, if fitted, shapes, with variances, and derivatives if `gradient`."""
         x = self.coordinates.to_x(theta)
         by_theta = self.coordinates.slope(theta)[:, None] if gradient else None
         with single_thread():
@@ -163,7 +163,7 @@ class SurrogateModel(ModalModel):
     def variances(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variances of frequencies (n, n_modes) in Hz², and of shapes (n, n_sensors, n_modes).
 
-        They are the same as from `observed`, but without the limit set by `limit_variance`.
+        They are as returned by `observed`, but without the limit set by `limit_variance`.
         """
         x = self.coordinates.to_x(theta)
         z, v = self.pairs.values(*self._learnt(x, limited=False))
@@ -175,7 +175,7 @@ class SurrogateModel(ModalModel):
     def weights_of_learnt(self, theta: FloatArray, of_frequency: FloatArray) -> FloatArray:
         """Convert weights for frequency variances, in 1/Hz², to weights for the variances of the processes.
 
-        Both have shape (n, n_modes). The weighted sums of variances agree.
+        Both have shape (n, n_modes), and give the same weighted sum of variances.
         """
         y, v = self._learnt(self.coordinates.to_x(theta))
         z, _ = self.pairs.values(y, v)
@@ -205,7 +205,7 @@ class SurrogateModel(ModalModel):
 
 
 def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
-    """Join the arrays along an axis with `join`, or return None if the first is None."""
+    """Join the arrays along an axis with `join`. Return None if the first array is None."""
     return None if parts[0] is None else join(parts, axis=axis)
 
 
@@ -221,7 +221,7 @@ def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> An
 
 
 def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | None, search: bool) -> list[Process]:
-    """Fit y (N, q) at x with one process for all q quantities or one each; return the processes in a list.
+    """Fit one process to all q quantities y (N, q) at x, or one to each; return the processes in a list.
 
     A few points can determine common length scales, but not separate ones for every quantity. Separate processes
     are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
