@@ -1,4 +1,4 @@
-"""Built-in problems. Each is a TOML file in this folder, in the format that users write."""
+"""Built-in problems. Each is a TOML file in this folder, in the same format as a user's problem file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads updating problems from TOML files.
+"""Read updating problems from TOML files.
 
 Reading order: tables, problem; then a module for each table of the file: models/, parameters, measurement, errors.
 """
@@ -58,7 +58,8 @@ def load(
     path : path-like
         The TOML file.
     pairing : {"shape", "index", "soft"}, optional
-        How modes are paired: by MAC, by order in the spectrum, or softly. Defaults to the setting in the file.
+        How modes are paired: by MAC ("shape"), by order in the sorted spectrum ("index"), or by soft assignment
+        ("soft"). Defaults to the setting in the file.
     beta : float or array_like, shape (n_modes,), optional
         Weights 1/(2 sd²) of the frequency errors, in 1/Hz²; replaces the measurement uncertainty in the file.
     engine : Engine, optional
@@ -71,7 +72,8 @@ def load(
     Raises
     ------
     ConfigurationError
-        If the file has errors: a ValueError that lists each with its location, the rule and the value received.
+        If the file has errors. It is a ValueError that lists each error's location, the rule, and the value
+        received.
     FileNotFoundError
         If the file does not exist.
     """
@@ -80,7 +82,7 @@ def load(
 
 
 def read(path: Path) -> ProblemFile:
-    """Read a problem file, and check the types and ranges of its values. Raises the same errors as `load`."""
+    """Return a problem file, after checking its values' types and ranges. Raise the same errors as `load`."""
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile

@@ -56,18 +56,18 @@ def build_error_models(
     known: Sequence[str],
     read_frfs: Callable[..., tuple[list[FRFErrors], list[ArgumentError]]] | None,
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
-    """Build the error models, and collect the errors in their tables.
+    """Build the error models, and return them with the errors found in their tables.
 
     Parameters
     ----------
     tables : sequence of ErrorTable
     noise : mapping of str to Parameter
-        Inferred standard deviations, by name.
+        Inferred standard deviations, keyed by name.
     known : sequence of str
         Names of all noise tables in file order; invalid tables have no entry in `noise`.
     read_frfs : callable or None
-        Called with the index and table of each ``[[error]]`` of FRFs, and the inferred parameters by key. Returns
-        the FRF error models, and the errors in the table. None if there is no such table.
+        Called with the index and table of each ``[[error]]`` for FRFs, and the inferred parameters as keyword
+        arguments. Returns the FRF error models, and the errors in the table. None if there is no such table.
     """
     models: list[ErrorModel] = []
     found, used = [], set()
@@ -98,12 +98,12 @@ def build_error_models(
 
 
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return the error models with place names replaced by model nodes."""
+    """Return the error models with each place name replaced by its model node."""
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 
 def is_of_modes(model: ErrorModel) -> bool:
-    """Return True if an error model applies to modes, or False for another quantity, such as a displacement."""
+    """Return True if an error model applies to modes, or False for another quantity, e.g. a displacement."""
     return not _are_of_quantities(model)
 
 
@@ -112,7 +112,7 @@ def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
 
 
 def _noises(table: Declared) -> dict[str, str]:
-    """Return the noise table names that an error table refers to, by key."""
+    """Return the noise tables that an error table refers to: their names, keyed by the key that refers to them."""
     hints = get_type_hints(table.makes[0])
     return {
         key: str(value)
@@ -122,9 +122,9 @@ def _noises(table: Declared) -> dict[str, str]:
 
 
 def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
-    """Return an error for each ``sd`` that is given although the scatter of the tests already determines it.
+    """Return an error for each ``sd`` that is given although the tests' scatter already determines it.
 
-    One of the two would be ignored.
+    One of the two would otherwise be ignored.
     """
     rule = (
         "must not be given together with tests, whose scatter gives the error of their mean. Leave it out and "
@@ -140,7 +140,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
 def vanishing(
     noise: Mapping[str, Parameter], models: Sequence[ErrorModel], data: ModalData, n_parameters: int
 ) -> list[ArgumentError]:
-    """Return an error for each inferred standard deviation for which the posterior density may be unbounded.
+    """Return an error for each inferred standard deviation that may make the posterior density unbounded.
 
     If all n errors with this standard deviation sd can be zero, the likelihood grows as sd^(−n) as sd → 0. This is
     possible if n is at most the number of parameters and no known standard deviation contributes to the errors.
@@ -149,7 +149,7 @@ def vanishing(
     Parameters
     ----------
     noise : mapping of str to Parameter
-        Inferred standard deviations by name, in file order.
+        Inferred standard deviations, keyed by name, in file order.
     models : sequence of ErrorModel
     data : ModalData
     n_parameters : int

@@ -45,7 +45,7 @@ class GeometryTable(TomlTable):
     def build(self, folder: Path, built: Built) -> Matching:
         """Match the points to nodes.
 
-        Raises BrokenError if this fails or if nodes have no coordinates.
+        Raise BrokenError if this fails or if nodes have no coordinates.
         """
         model = built.separable
         if model is None or model.geometry is None:

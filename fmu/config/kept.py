@@ -53,9 +53,9 @@ class KeptProblem:
     file : Path
         The problem file.
     folder : Path
-        Directory that file names in the problem file are relative to.
+        Directory to which file names in the problem file are relative.
     pairing : str or None
-        How modes are paired; None to use the setting in the file.
+        How modes are paired, or None to use the setting in the file.
     orders : Orders
         Run options: samplers, draws, seed and so on.
     finished : tuple of str
@@ -69,9 +69,9 @@ class KeptProblem:
     finished: tuple[str, ...] = ()
 
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
-        """Load the updating problem, training its reduced model with `engine` if given.
+        """Return the updating problem. If `engine` is given, its workers train the reduced model.
 
-        Raises ConfigurationError if the problem cannot be built.
+        Raise ConfigurationError if the problem cannot be built.
         """
         from fmu import config
 

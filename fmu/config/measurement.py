@@ -177,7 +177,7 @@ class MeasurementTable(TomlTable):
         return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
-        """Return the keys, among `keys`, that this table in the file contains."""
+        """Return those of `keys` that are present in the table in the file."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property
@@ -191,7 +191,7 @@ class MeasurementTable(TomlTable):
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list with an error if a frequency uncertainty is needed but missing, or [] if not."""
+        """Return a list with an error if a frequency uncertainty is needed but missing, otherwise []."""
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
@@ -202,7 +202,7 @@ class MeasurementTable(TomlTable):
         Parameters
         ----------
         folder : Path
-            Folder that file names are relative to.
+            Folder to which file names are relative.
         built : Built
             The model with its named places.
         needs_trust : bool
@@ -249,7 +249,7 @@ class MeasurementTable(TomlTable):
     def _covariance(self, folder: Path) -> ArrayLike | None:
         """Return the frequency covariance in Hz², shape (n_modes, n_modes), or None if it is not given.
 
-        Raises BrokenError if its file cannot be read.
+        Raise BrokenError if its file cannot be read.
         """
         if not isinstance(self.covariance, str):
             return self.covariance
@@ -264,7 +264,7 @@ class MeasurementTable(TomlTable):
         return np.asarray(matrix.toarray())
 
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
-        """Rotate sensors and mode shapes to the model's axes, unless the test's axes are parallel to them."""
+        """Return the modes with sensors and shapes rotated to the model's axes, unless already parallel."""
         if points is None or points.is_parallel:
             return modes
         if self.test_shapes is not None and modes.shapes_sd is not None:
@@ -284,7 +284,7 @@ class MeasurementTable(TomlTable):
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
         """Return the model's sensor for each given (place, direction).
 
-        Raises BrokenError if any does not exist.
+        Raise BrokenError if a sensor does not exist.
         """
         sensors: list[Dof] = []
         found = Mistakes()
@@ -344,7 +344,7 @@ class MeasurementTable(TomlTable):
 
 
 class ModesGiven(NamedTuple):
-    """Data from one source: modes, the repeated tests that were averaged, and their mean's covariance in Hz²."""
+    """Data from one source: modes, the repeated tests that were averaged, and the mean's covariance in Hz²."""
 
     modes: MeasuredModes
     tests: RepeatedTests | None = None
@@ -354,7 +354,7 @@ class ModesGiven(NamedTuple):
 def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> ModesGiven:
     """Return the mean of repeated tests, with its uncertainty.
 
-    Raises BrokenError at `key` if the tests are invalid.
+    Raise BrokenError at `key` if the tests are invalid.
     """
     try:
         tests = RepeatedTests(values, scatter)
@@ -369,7 +369,7 @@ def _repeated_shapes(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return the tests' mean mode shapes, shape (n_sensors, n_modes), and their standard deviations or None.
 
-    Raises BrokenError if the shapes do not match the tests.
+    Raise BrokenError if the shapes do not match the tests.
     """
     where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
     wrong = (

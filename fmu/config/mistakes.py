@@ -79,7 +79,7 @@ def place(parts: Sequence[int | str]) -> str:
 
 
 def of_validation(error: ValidationError) -> list[ArgumentError]:
-    """Convert pydantic's validation errors to ArgumentErrors."""
+    """Return pydantic's validation errors as a list of ArgumentErrors."""
     return [_of_one(one) for one in error.errors(include_url=False)]
 
 
@@ -118,7 +118,7 @@ def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
 
 
 def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
-    """Remove the parts that pydantic inserts into a location: the kinds of values and of tables."""
+    """Return a location without the parts that pydantic inserts: the kinds of values and of tables."""
     parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
     number = parts[1:2]
     of_slope = ["slopes", *parts[3:4]]

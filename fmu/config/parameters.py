@@ -282,7 +282,7 @@ class ParameterTable(Uncertain, Target):
         return self.varies
 
     def laws(self) -> dict[str, Prior | Law | str]:
-        """Return the law for the parameter's dependence on each covariate, by covariate name."""
+        """Return the law of the parameter's dependence on each covariate, keyed by covariate name."""
         return {name: build_value(how) for name, how in self.slopes.items()}
 
     def build(self) -> Parameter:
@@ -290,7 +290,7 @@ class ParameterTable(Uncertain, Target):
         return replace(super().build(), updated=self.updated)
 
     def is_positive(self) -> bool:
-        """Return True if the bounds or the prior guarantee a positive parameter."""
+        """Return True if the bounds or the prior ensure that the parameter is positive."""
         try:
             return self.build().lowest > 0.0
         except ValueError:  # this error is reported separately
@@ -308,7 +308,7 @@ class NoiseTable(Uncertain):
 def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
-    """Build the parameters by name, in file order, and collect the errors in their tables.
+    """Return the parameters, keyed by name in file order, and the errors found in their tables.
 
     Parameters
     ----------

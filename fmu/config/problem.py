@@ -150,7 +150,7 @@ class ProblemFile(TomlTable):
         source : str
             Name of the file in error messages.
         folder : Path
-            Folder that file names in the problem file are relative to.
+            Folder to which file names in the problem file are relative.
         pairing, beta : optional
             Values that replace those in the file; see `fmu.load`.
         engine : Engine, optional
@@ -226,7 +226,7 @@ class ProblemFile(TomlTable):
     def plan_options(self, source: str, folder: Path) -> dict[str, Any]:
         """Return the arguments for `fmu.plan` from the ``[plan]`` table, or the defaults if there is none.
 
-        Raises ConfigurationError as `build` does.
+        Raise ConfigurationError under the same conditions as `build`.
         """
         try:
             return (self.plan or PlanTable()).options(self.model.build(folder, self.structural))
@@ -343,7 +343,7 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Build the measured data, leaving out their uncertainty if `beta` replaces it."""
+        """Build the measured data. If `beta` is given, leave out their uncertainty, which it replaces."""
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number
             try:
@@ -367,8 +367,8 @@ def schema() -> dict[str, object]:
     Returns
     -------
     dict
-        A schema of draft 2020-12. It contains keys, types and ranges. Relations between tables, for example that
-        the section of a member exists, are checked only by `fmu.load`.
+        A schema of draft 2020-12. It contains keys, types and ranges. Relations between tables are checked only by
+        `fmu.load`, for example that a member's section exists.
     """
     found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
     measured = [{"required": [key]} for key in ("measurement", "tests")]
@@ -379,9 +379,9 @@ def schema() -> dict[str, object]:
 
 
 def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
-    """Simplify part of the schema for editors.
+    """Return part of the schema, simplified for editors.
 
-    Null, which TOML does not have, the titles that pydantic adds and line breaks in descriptions are removed.
+    It omits null (which TOML does not have), the titles that pydantic adds, and line breaks in descriptions.
     """
     found: dict[str, Any] = {}
     for key, value in part.items():

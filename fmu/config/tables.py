@@ -66,7 +66,7 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Built(NamedTuple):
-    """A model, the node for each place named in the file, and the model's largest number of modes."""
+    """A model, its largest number of modes, and the node for each place named in the file."""
 
     model: SeparableModel | BlackBoxModel | ModalModel
     places: Mapping[str, Place]
@@ -125,7 +125,7 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 def one_length(what: str) -> AfterValidator:
     """Return a validator that rejects rows with different lengths.
 
-    `what` says in messages what each value in a row belongs to, such as "mode".
+    `what` says to what each value in a row belongs, such as "mode". It is used in messages.
     """
 
     def check(rows: list[list[float]]) -> list[list[float]]:
@@ -139,7 +139,7 @@ def one_length(what: str) -> AfterValidator:
 
 @contextmanager
 def reading(where: str) -> Iterator[None]:
-    """In a ``with`` block, convert file reading errors to a BrokenError at the key `where`."""
+    """Within a ``with`` block, raise file reading errors as a BrokenError at the key `where`."""
     try:
         yield
     except ModesError as error:
@@ -175,7 +175,7 @@ class Declared(TomlTable):
         return str(dict(self)[self.tag])
 
     def given_arguments(self) -> dict[str, object]:
-        """Return the constructor arguments given in the file, by name."""
+        """Return the constructor arguments given in the file, keyed by name."""
         given = self.model_fields_set - {self.tag}
         return {self.renamed.get(key, key): value for key, value in self if key in given}
 
@@ -255,7 +255,7 @@ class OneOf:
     tag : str
         The key that selects the kind.
     kinds : mapping of str to tuple of callable
-        The constructors of each kind, by the key's value; see `declare_table`.
+        The constructors for each kind, keyed by the value of `tag`; see `declare_table`.
     in_a_file : callable, optional
         See `declare_table`.
     others : sequence of table
@@ -288,7 +288,7 @@ class Of:
     *makes : callable
         See `declare_table`.
     **renamed : str
-        Argument names by the keys that replace them in the file. The value of each such key is a name.
+        Argument names, each given under the key that replaces it in the file. Such a key's value is a name.
     """
 
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
@@ -327,7 +327,7 @@ def required_arguments(make: Maker) -> set[str]:
 
 @cache
 def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
-    """Return the annotation and default of each constructor argument, by name."""
+    """Return the annotation and default of each constructor argument, keyed by name."""
     hints = get_type_hints(make.__init__ if inspect.isclass(make) else make, include_extras=True)
     made = (
         {}
@@ -339,7 +339,7 @@ def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:
-    """Return a phrase that lists, for each constructor, the arguments that the constructors do not all share."""
+    """Return a phrase that lists, for each constructor, the arguments that not all constructors have."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(map(names_in_words, ways))
@@ -354,7 +354,7 @@ def _descriptions(make: Maker) -> dict[str, str]:
 
 
 def tuple_as_list(annotation: object) -> Any:
-    """Replace a tuple type by a list type, because TOML has no tuples; return any other type unchanged."""
+    """Return a list type for a tuple type, because TOML has no tuples; return any other type unchanged."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):
         return tuple_as_list(next(part for part in parts if get_origin(part) is tuple)) | None

@@ -135,7 +135,7 @@ class TestTable(MeasurementTable):
         return found
 
     def _find_mistakes(self, found: Campaign) -> list[str]:
-        """Return error messages for a campaign file that is implausible or contradicts this table."""
+        """Return error messages if a campaign file is implausible or contradicts this table."""
         missed = np.isnan(found.frequencies_hz).all(axis=0)
         rule = "must have a frequency in one line at least (got none); delete it here and in labels"
         wrong = [f"column {label}: {rule}" for label, none in zip(self.labels, missed, strict=True) if none]
@@ -191,7 +191,7 @@ class TestTable(MeasurementTable):
         return replace(modes, numbers=numbers, counterparts=numbers, labels=tuple(map(str, numbers)), use=use)
 
     def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
-        """Build the tests of a campaign from `data`, which has all modes, by replacing its frequencies."""
+        """Build one test per campaign line from `data`, which has all modes, with that line's frequencies."""
         tests, wrong = [], Mistakes()
         for name, group, covariates, frequencies, number in zip(*campaign, strict=True):
             line = f"{self.campaign}, line {number}"
@@ -218,14 +218,14 @@ class TestTable(MeasurementTable):
 
 
 class OfFRFs(NamedTuple):
-    """The FRF table, and each test's FRF error model by test name."""
+    """The FRF table, and the FRF error model of each test, keyed by test name."""
 
     table: FRFTable
     errors: Mapping[str, FRFErrors]
 
 
 class PlacedTest(NamedTuple):
-    """A test, the key in the problem file that gives it and, for a campaign, the file and line."""
+    """A test, and the problem file's key that gives it. A campaign's test also has its file and line."""
 
     test: Test
     where: str
@@ -235,7 +235,7 @@ class PlacedTest(NamedTuple):
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None = None
 ) -> tuple[list[PlacedTest], list[ArgumentError]]:
-    """Build all tests, and collect the errors in their tables."""
+    """Build all tests, and return them with the errors found in their tables."""
     tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
@@ -260,7 +260,7 @@ def variations(
 def in_the_file(
     error: TestsError, tables: Sequence[ParameterTable], tests: Sequence[PlacedTest]
 ) -> list[ArgumentError]:
-    """Convert inconsistencies between tests to a list of errors, each with its location in the file.
+    """Return inconsistencies between tests as errors, each with its location in the file.
 
     If several lines of a campaign break the same rule, only the first is reported.
     """

@@ -32,7 +32,7 @@ VARIANTS = {
 
 
 def with_discrepancy(text: str, variant: str) -> str:
-    """Return a problem file with its model discrepancy replaced and everything else, even comments, unchanged.
+    """Return a problem file's text with its model discrepancy replaced. Everything else stays, even comments.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ def with_discrepancy(text: str, variant: str) -> str:
     variant : str
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred relative error common to all frequencies;
         ``"modes"``, errors of this kind with a correlated part; ``"embedded"`` and ``"embedded-by-group"``,
-        scatter of the parameters over the modes. A ``[[discrepancy]]`` table of the same kind in the file keeps
-        its other keys.
+        scatter of the parameters over the modes. If the file has a ``[[discrepancy]]`` table of the same kind, the
+        table's other keys stay.
     """
     import tomlkit
 

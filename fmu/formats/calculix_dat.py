@@ -1,6 +1,6 @@
 """Reader for natural frequencies and modal displacements that CalculiX prints to ``job.dat``.
 
-The input deck needs this step, with the sensor nodes in a set::
+The input deck needs this step, and a set SENSORS with the sensor nodes::
 
     *FREQUENCY
     10
@@ -39,7 +39,8 @@ def read_frequencies(path: Path) -> FloatArray:
     Raises
     ------
     ValueError
-        If the file does not exist, is too large or has no eigenvalues, or if a word is not a number.
+        If the file does not exist, is too large or has no eigenvalues, or if it has a word where a number is
+        expected.
     """
     text = _last_step(path)
     first = _MODE.search(text)
@@ -86,7 +87,7 @@ def _last_step(path: Path) -> str:
 
 
 def _frequencies(text: str, name: str) -> FloatArray:
-    """Return the frequencies in Hz, shape (n_modes,), from column 4 of the first table in a step."""
+    """Return the frequencies in Hz, shape (n_modes,), from column 4 of a step's first table."""
     found: list[float] = []
     for line in text.splitlines():
         words = line.split()
@@ -102,7 +103,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
 
 
 def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
-    """Return one dict per mode, which maps each node id to its three displacements, still as text."""
+    """Return one dict per mode that maps each node id to its three displacements, still as text."""
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")

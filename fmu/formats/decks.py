@@ -43,7 +43,7 @@ _WORD = re.compile(r"[^\W\d]\w*")
 def read_deck(path: Path) -> str:
     """Read a deck, preserving line ends and non-UTF-8 bytes.
 
-    Raises ValueError if the file is not text.
+    Raise ValueError if the file is not text.
     """
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
@@ -80,13 +80,13 @@ def filled_name(name: str) -> str:
 
 
 def fill_deck(text: str, values: Mapping[str, float]) -> str:
-    """Replace the placeholders in a deck with numbers, and return the new text.
+    """Return a deck with its placeholders replaced by numbers.
 
     Parameters
     ----------
     text : str
     values : mapping of str to float
-        Parameter values, by placeholder name.
+        Parameter values, keyed by placeholder name.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
 
 
 def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameter values as rounded in a filled deck, for example by ``{E1:8}``.
+    """Return the parameter values as the filled deck contains them, rounded for example by ``{E1:8}``.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def columns(value: float, width: int) -> str:
 
 
 def _shortest(value: float, width: int, exponent: str) -> str:
-    """Return the text that gives `value` most accurately in at most `width` characters; on a tie, the shortest."""
+    """Return the text of up to `width` characters that is nearest to `value`, and the shortest on a tie."""
     ways = set()
     for digits in range(1, 18):
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -176,5 +176,5 @@ def _shortest(value: float, width: int, exponent: str) -> str:
 
 
 def _read(text: str) -> float:
-    """Convert a Nastran field to float; its exponent has no letter."""
+    """Convert a Nastran field to float. The field's exponent has no letter."""
     return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) if "e" not in text else text)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def why_no_file(path: Path) -> str:
-    """Return the reason why a path is not a readable regular file, or an empty string if it is one."""
+    """Return why a path is not a readable regular file, or an empty string if it is one."""
     shown = str(path) if len(str(path)) <= 200 else f"{str(path)[:200]}…"
     try:
         mode = path.stat().st_mode
@@ -24,6 +24,6 @@ def why_no_file(path: Path) -> str:
 
 
 def too_large(path: Path, most: int) -> str:
-    """Return an error message if a file has more than `most` bytes, or an empty string if it does not."""
+    """Return an error message if a file has more than `most` bytes, otherwise an empty string."""
     size = path.stat().st_size
     return f"must have at most {most} bytes (got {size})" if size > most else ""

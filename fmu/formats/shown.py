@@ -1,4 +1,4 @@
-"""Formats values, names and errors for messages: shortened, on one line and without control characters."""
+"""Format values, names and errors for messages: shortened, on one line and without control characters."""
 
 from __future__ import annotations
 
@@ -53,13 +53,16 @@ def quote(value: object) -> str:
 
 
 def names_shown(names: Collection[object]) -> str:
-    """Join names with commas. If there are more than `MOST_NAMES`, give the first ones and the total number."""
+    """Return names joined by commas.
+
+    If there are more than `MOST_NAMES`, give the first ones and the total number.
+    """
     first = ", ".join(_cut(str(name), MOST) for name in islice(names, MOST_NAMES))
     return first if len(names) <= MOST_NAMES else f"{first}, … ({len(names)} in all)"
 
 
 def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
-    """Put a text on one line, at most `most` characters long, with unprintable characters escaped."""
+    """Return a text on one line, with at most `most` characters, and unprintable characters escaped."""
     line = " ".join(_cut(text, 4 * most).split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -73,7 +73,7 @@ def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
 
 
 def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
-    """Yield the key and name of each parameter in `value`, the number, name or table at the key `where`."""
+    """Yield the key and name of each parameter in `value`, a number, name or table at the key `where`."""
     match value:
         case str():
             yield where, value
@@ -86,7 +86,7 @@ def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ParameterTable]:
-    """Return the structural parameters: all parameters that no damping table refers to."""
+    """Return the structural parameters: the parameters to which no damping table refers."""
     named = {name for _, name in names_in(damping)}
     return [table for table in parameters if table.name not in named]
 
@@ -94,7 +94,7 @@ def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]
 def mistakes_of_damping(
     parameters: Sequence[ParameterTable], damping: Sequence[Declared], has_tests: bool
 ) -> list[ArgumentError]:
-    """Check the damping tables and parameters, and return the errors found.
+    """Return the errors found in the damping tables and parameters.
 
     Damping parameters may vary between tests only if `has_tests` is True.
     """
@@ -128,9 +128,9 @@ def build_damping(
     ----------
     tables : sequence of DampingTable
     parameters : mapping of str to Parameter
-        Damping parameters, by name.
+        Damping parameters, keyed by name.
     folder : Path
-        Folder that file names are relative to.
+        Folder to which file names are relative.
     """
 
     def of(value: Any) -> Any:

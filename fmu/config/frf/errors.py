@@ -140,7 +140,7 @@ class FRFTable(Declared):
         file : Path
         damping : sequence of DampingModel
         test : str or None
-            Name of the test in which they were measured, if there are several tests.
+            Name of the test in which the FRFs were measured, or None if there is only one test.
         **inferred
             The Parameter for each key whose value is the name of a noise table.
         """
@@ -179,7 +179,7 @@ class FRFTable(Declared):
 
 
 class FRFFile(NamedTuple):
-    """An FRF file: the problem file's key that names it, its name, and its test if there are several tests."""
+    """An FRF file: its name, the problem file's key that gives it, and its test if there are several tests."""
 
     where: str
     name: str
@@ -195,7 +195,7 @@ def read_frfs(
     damping: Sequence[DampingModel],
     **inferred: object,
 ) -> tuple[list[FRFErrors], list[ArgumentError]]:
-    """Build the error models for the FRFs in all files, and collect the errors in files and settings.
+    """Build the error models for the FRFs in all files, and return them with the errors found.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def read_frfs(
     table : FRFTable
     files : sequence of FRFFile
     folder : Path
-        Folder that file names are relative to.
+        Folder to which file names are relative.
     damping : sequence of DampingModel
     **inferred
         The Parameter for each key whose value is the name of a noise table.
@@ -229,7 +229,7 @@ def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str]
 def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> float | dict[Dof, float]:
     """Return a setting keyed by response channel (place, direction) instead of by a name such as ``"tip z"``.
 
-    A plain number is returned unchanged. Raises ArgumentError if there is no such channel.
+    A plain number is returned unchanged. Raise ArgumentError if there is no such channel.
     """
     if not isinstance(given, Mapping):
         return given
@@ -241,6 +241,9 @@ def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> 
 
 
 def _in_the_file(error: ValueError) -> ArgumentError:
-    """Return an error with its key changed to the key in the table; errors in the FRF file go to ``data``."""
+    """Return an error whose key is the corresponding key in the table.
+
+    Errors in the FRF file get the key ``data``.
+    """
     wrong = ArgumentError.of(error).replace_key("path", "data").replace_key("numbers", "modes")
     return wrong if wrong.key.split(".")[0] in FRFTable.model_fields else ArgumentError("data", str(wrong))

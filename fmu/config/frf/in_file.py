@@ -20,7 +20,7 @@ from fmu.posterior.frf.errors import FRFErrors
 
 
 class FRFsInFile(NamedTuple):
-    """The ``[[error]]`` table for frequency response functions, and the files that it or ``[[tests]]`` name.
+    """The ``[[error]]`` table for frequency response functions, and the files named in it or in ``[[tests]]``.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class FRFsInFile(NamedTuple):
 
     @classmethod
     def of(cls, errors: Sequence[Declared], tests: Sequence[TestTable] | None) -> Self | None:
-        """Return the first table for frequency response functions with its files, or None if there is none."""
+        """Return the first table for frequency response functions and its files, or None if there is no table."""
         for i, table in enumerate(errors):
             if isinstance(table, FRFTable):
                 own = [FRFFile(f"error.{i}.data", table.data)] if table.data is not None else []
@@ -48,11 +48,11 @@ class FRFsInFile(NamedTuple):
         return partial(read_frfs, files=self.files, folder=folder, damping=damping)
 
     def by_test(self, errors: Sequence[ErrorModel]) -> OfFRFs:
-        """Return the table with the FRF error model of each test."""
+        """Return the table, and the FRF error model of each test."""
         return OfFRFs(self.table, {str(one.test): one for one in errors if isinstance(one, FRFErrors)})
 
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
-        """Check the keys ``data``, and return the errors found.
+        """Return the errors found in the keys ``data``.
 
         Each test needs this key unless there are other error models.
         """
@@ -71,7 +71,7 @@ class FRFsInFile(NamedTuple):
         ]
 
     def place(self, mistake: ArgumentError, errors: Sequence[ErrorModel]) -> ArgumentError:
-        """Return an FRF error found during the build, moved to the problem file's key that names the FRF file.
+        """Return an FRF error found during the build, moved to the problem file's key for the FRF file.
 
         The key of `mistake` is ``data…``, or ``error.i.data…`` where i is an index in `errors`.
         """
@@ -89,7 +89,7 @@ def mistakes_of_frfs(
     parameters: Sequence[ParameterTable],
     tests: Sequence[TestTable] | None,
 ) -> list[ArgumentError]:
-    """Check the FRF, damping and test tables against each other, and return the errors found."""
+    """Return inconsistencies between the tables for FRFs, damping and tests."""
     if found is None:
         rule = 'is used by frequency response functions only, [[error]] with of = "frf"'
         places = [*(file.where for file in _files_of(tests or [])), *["damping"] * bool(damping)]

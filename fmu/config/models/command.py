@@ -60,7 +60,7 @@ class CommandTable(ModelTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Return the model that runs the program.
 
-        Raises BrokenError if a file or the program is missing, or the template lacks a parameter.
+        Raise BrokenError if a file or the program is missing, or the template lacks a parameter.
         """
         given = {key: value for key, value in self if key != "type"}
         try:

@@ -98,7 +98,7 @@ class ExportsTable(ModelTable):
         return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Check the exports and the parameters, and return the errors found.
+        """Return the errors found in the exports and the parameters.
 
         The first export must give a value for each parameter.
         """
@@ -121,7 +121,7 @@ class ExportsTable(ModelTable):
         return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Recover the model from the exports. Raise BrokenError if this fails."""
+        """Recover the model from the exports. Raise BrokenError on failure."""
         start = {p.name: p.start for p in parameters}
         units = unit_values(start)
         tables = self.exports or [ExportedTable(values=one, check=one is units[-1]) for one in units]
@@ -162,7 +162,7 @@ class ExportsTable(ModelTable):
     def _run_program(
         self, folder: Path, tables: Sequence[ExportedTable], values: Sequence[Mapping[str, float]]
     ) -> dict[int, _Files]:
-        """Run the program for each export without files; return the new files by export index."""
+        """Run the program for each export that has no files; return the new files, keyed by export index."""
         which = [i for i, one in enumerate(tables) if one.stiffness is None]
         if self.runs is None or not which:
             return {}
@@ -189,9 +189,9 @@ class ExportsTable(ModelTable):
         }
 
     def _mesh(self, folder: Path, decks: Sequence[Path]) -> Mesh | None:
-        """Read the mesh from the file ``mesh`` or, if none is given, from the first deck.
+        """Return the mesh in the file ``mesh`` or, if none is given, in the first deck.
 
-        Returns None if the deck's format cannot be read.
+        Return None if the deck's format cannot be read.
         """
         path, key = None if self.mesh is None else folder / self.mesh, "model.mesh"
         if path is None and decks and decks[0].suffix.lower() in MESHES:

@@ -87,13 +87,13 @@ class FrameTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Check for inconsistent tables, such as unknown names or zero-length members; return the errors found."""
+        """Return inconsistencies in the tables, such as unknown names or zero-length members."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Build the model, and return it with each point's node. No file is read.
 
-        Raises BrokenError if this fails.
+        Raise BrokenError on failure.
         """
         mesh = _Mesh(self)
         updates = {table.name: mesh.targets(table) for table in parameters}

@@ -26,10 +26,10 @@ class LineTable(TomlTable):
 def mistakes_of_lines(
     points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
 ) -> list[ArgumentError]:
-    """Check the lines for plotting, and return the errors found.
+    """Return the errors found in the lines for plotting.
 
-    Lines must name known points and parameters. Points without any line are an error, and so are lines with a
-    mesh.
+    Lines must name known points and parameters. It is an error if a point has no line, or if there are lines
+    although the model has a mesh.
     """
     names = [parameter.name for parameter in parameters]
     found = Mistakes()

@@ -63,9 +63,9 @@ class TermTable(TomlTable):
         return "matrix" if self.file is None else "file"
 
     def read(self, folder: Path) -> Labelled:
-        """Read the matrix, with row names if its file has them.
+        """Return the matrix, with row names if its file has them.
 
-        Raises ValueError if it cannot be read.
+        Raise ValueError if it cannot be read.
         """
         if self.file is not None:
             return read_labelled(folder / self.file, self.variable, self.triangle)
@@ -90,7 +90,7 @@ class MatricesTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Check for inconsistent tables, such as unknown or unused parameters, and return the errors found."""
+        """Return inconsistencies in the tables, such as unknown or unused parameters."""
         names = [parameter.name for parameter in parameters]
         found, used = Mistakes(), set[str]()
         for where, term in self._terms():
@@ -107,7 +107,7 @@ class MatricesTable(ModelTable):
         return found + self._of_powers(parameters) + super().mistakes(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Read the matrices and build the model. Raise BrokenError if this fails."""
+        """Read the matrices and build the model. Raise BrokenError on failure."""
         read: list[Labelled] = []
         found: list[ArgumentError] = []
         for where, table in self._terms():
@@ -158,7 +158,7 @@ class MatricesTable(ModelTable):
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
     def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return an error for each parameter and term whose power may be undefined between the bounds."""
+        """Return an error for each term and parameter whose power may be undefined between the bounds."""
         found = Mistakes()
         for where, term in self._terms():
             for i, table in enumerate(parameters):
@@ -180,10 +180,10 @@ class MatricesTable(ModelTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
-        """Expand the matrices to their common degrees of freedom, and return them with the names of these.
+        """Return the matrices expanded to their common degrees of freedom, with the names of these.
 
-        If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom
-        are removed if all matrices are zero there, or if Abaqus marks them as fixed by a stiffness of 1e36.
+        If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom are
+        removed if all matrices are zero there, or if Abaqus marks them as fixed by a stiffness of 1e36.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None

@@ -45,7 +45,7 @@ class OpenSeesTable(ModelTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the file, and return the model that its ``build`` function creates.
 
-        Raises BrokenError on failure.
+        Raise BrokenError on failure.
         """
         build = import_function(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
         start = np.array([table.start for table in parameters], dtype=float)

@@ -153,7 +153,10 @@ def _beside(name: str, folder: Path) -> Path | None:
 
 @contextmanager
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
-    """In a ``with`` block, import from a folder first; remove its modules afterwards. No bytecode is written."""
+    """Within a ``with`` block, search a folder first when importing. Remove its modules afterwards.
+
+    No bytecode is written.
+    """
 
     def of_folder(module: object) -> bool:
         if not issubclass(type(module), ModuleType):  # sys.modules may contain objects of any type

@@ -115,7 +115,7 @@ class ReducedStructure(Approximation):
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return a copy with another tolerance `elsewhere`, outside the part of the box that matters."""
+        """Return a copy with another tolerance outside the part of the box that matters."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
@@ -262,7 +262,7 @@ def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
-    """Return the largest `elsewhere` tolerance among a model's reduced structures, or None if none has one."""
+    """Return the largest tolerance outside the part of the box that matters, or None if no model has one."""
     return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
 
 

@@ -100,7 +100,7 @@ class _CoupledSets:
             raise RefusedError(f"must have coupled sets of at most {MOST_DOFS} nodes in all")
 
     def equations(self) -> list[Equation]:
-        """Return one equation for each node in a set after the first."""
+        """Return one equation for each node after the first in a set."""
         found: list[Equation] = []
         for which, (direction, (first, *others)) in self.sets.items():
             found += [Equation((node, direction), {(first, direction): 1.0}, f"CP {which}") for node in others]

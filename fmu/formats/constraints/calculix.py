@@ -55,9 +55,9 @@ def constraints_of(
     ----------
     found : Constraints
     places : mapping of int to (float, float, float)
-        Coordinates of each node.
+        Coordinates of each node, keyed by node id.
     elements : mapping of int to tuple of int
-        Node ids of each element.
+        Node ids of each element, keyed by element id.
     face, is_numbered
         See `bodies_of`.
 
@@ -124,7 +124,7 @@ def _equations(
     axes: Mapping[int, FloatArray],
     places: Mapping[int, tuple[float, float, float]],
 ) -> Iterator[tuple[dict[DofName, float], DofName, str]]:
-    """Yield the coefficients along global axes, the first degree of freedom and the source of each equation."""
+    """Yield each equation's coefficients along global axes, its first degree of freedom and its source."""
     rows = one.rows()
     for count, start in enumerate(rows, 1):
         source = f"equation {count} of {one.source}"

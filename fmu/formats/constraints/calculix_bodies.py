@@ -29,7 +29,7 @@ _SHIFTS, _TURNS = DIRECTIONS[:3], DIRECTIONS[3:]
 
 
 class _Body(NamedTuple):
-    """A rigid body: its reference node, its rotation node (None if CalculiX adds one), and its dependent nodes."""
+    """A rigid body: reference node, rotation node (None if CalculiX adds one), and dependent nodes."""
 
     reference: int
     rotation: int | None

@@ -64,9 +64,9 @@ class Constraints:
     Attributes
     ----------
     nodes_of : dict of str to list of int
-        Node sets, by name.
+        Node sets, keyed by name.
     elements_of : dict of str to list of int
-        Element sets, by name.
+        Element sets, keyed by name.
     """
 
     nodes_of: dict[str, list[int]] = field(default_factory=dict)
@@ -76,7 +76,7 @@ class Constraints:
     n_members: int = 0
 
     def begin(self, name: str, options: Mapping[str, str], line: int) -> None:
-        """Start a new keyword, or ignore it unless it is in `KEYWORDS` or `UNREAD`.
+        """Start a new keyword if it is in `KEYWORDS` or `UNREAD`; otherwise do nothing.
 
         The name and options must be in upper case and without blanks.
         """
@@ -100,7 +100,7 @@ class Constraints:
 
 
 def add_set(found: Constraints, one: Keyword) -> None:
-    """Add the members listed under an NSET or ELSET keyword, without duplicates; a set may list earlier sets."""
+    """Add the members listed under an NSET or ELSET keyword, without duplicates. A set may name earlier sets."""
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
     for words in one.rows():
@@ -117,9 +117,9 @@ def add_set(found: Constraints, one: Keyword) -> None:
 
 
 def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
-    """Return the node ids that `word` gives: a single id, or the nodes in the set of that name.
+    """Return the node ids that `word` stands for: a single id, or all nodes in the set of that name.
 
-    Raises RefusedError if there is no such set.
+    Raise RefusedError if there is no such set.
     """
     if word.isdecimal() and len(word) <= 10:
         return [int(word)]

@@ -39,15 +39,15 @@ class Constraints:
     rigid : list of (name, fields)
         Rigid elements.
     mpc : dict of int to list of (fields)
-        MPC entries by set.
+        MPC entries, keyed by set id.
     added : dict of (kind, int) to list of int
         Sets that MPCADD and SPCADD combine.
     selected : dict of str to set of int
-        Sets that the case control selects, by kind: ``"MPC"`` and ``"SPC"``.
+        Sets that the case control selects, keyed by kind: ``"MPC"`` or ``"SPC"``.
     is_deck : bool
         Whether there is case control.
     unread : dict of str to int
-        Number of skipped entries, by name.
+        Number of skipped entries, keyed by entry name.
     n_fields : int
         Total number of fields in all entries.
     notes : list of str
@@ -57,7 +57,7 @@ class Constraints:
         Whether the executive control has OUTPUT4 without DMAP, as in MYSTRAN. MYSTRAN does not rescale the weights
         of rotations in an RBE3; see `fmu.formats.constraints.rigid`. MYSTRAN 18.0 and Nastran give different
         equations if an RBE3 follows components other than 123, if its reference point has components other than
-        123456, or if its points have their own axes. A note says so.
+        123456, or if its points have their own axes. A note then says so.
     """
 
     rigid: list[tuple[str, list[str]]] = field(default_factory=list)
@@ -196,7 +196,10 @@ def _rbe3(
 
 
 def _groups(words: list[str], source: str) -> tuple[Followed, list[tuple[int, list[int]]]]:
-    """Return an RBE3's groups of followed points, and the dependent nodes and components that UM lists, if any."""
+    """Return an RBE3's groups of followed points, and its dependent nodes and components.
+
+    The dependent nodes are listed after UM, so there are none without UM.
+    """
     groups: Followed = []
     dependents: list[tuple[int, list[int]]] = []
     at = 0

@@ -1,7 +1,7 @@
 """Constraint equations for rigid links, and for points that follow the weighted mean motion of others (RBE3).
 
 A small rigid-body motion x = (u, θ) at a reference point moves a point at distance r by u + θ × r and rotates it
-by θ. A point that follows others by a weighted mean moves with the rigid body that fits them best,
+by θ. A point that follows the weighted mean of others moves with the rigid body that fits these points best,
 
     minimise Σ_i w_i (u_i − H_iᵀ x)²    ⇒    Σ_i w_i H_i H_iᵀ x = Σ_i w_i H_i u_i,
 

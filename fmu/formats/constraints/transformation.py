@@ -3,10 +3,10 @@
 In the equations u = C u + P q, C contains the weights of the dependents and P selects the independent degrees of
 freedom q, so T = (I − C)⁻¹ P. Without circular dependencies C is nilpotent, and
 
-    (I − C)⁻¹ = (I + C)(I + C²)(I + C⁴) …,
+    (I − C)⁻¹ = (I + C)(I + C²)(I + C⁴) …
 
-so that a chain of n equations takes log₂ n products of sparse matrices. K_q = Tᵀ K T and M_q = Tᵀ M T are the
-matrices of the constrained structure.
+A chain of n equations therefore takes log₂ n products of sparse matrices. The matrices of the constrained
+structure are K_q = Tᵀ K T and M_q = Tᵀ M T.
 """
 
 from __future__ import annotations
@@ -94,9 +94,9 @@ def transformation(
 
 
 def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict[DofName, str]:
-    """Return a dict that maps each dependent to the constraint that defines it.
+    """Return the constraint that defines each dependent, keyed by the dependent.
 
-    Raises RefusedError if two constraints define the same dependent, or a support fixes it.
+    Raise RefusedError if two constraints define the same dependent, or a support fixes it.
     """
     source: dict[DofName, str] = {}
     for one in equations:

@@ -1,9 +1,9 @@
 """Reader for frequency response functions stored as arrays: NumPy ``.npz``, MATLAB ``.mat`` and HDF5 files.
 
 The arrays have the names of the attributes of `fmu.FRFData`, or a common name in `NAMES`. Other names are given by
-``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs is (n_frfs,
-n_lines) or (n_lines, n_frfs), whichever fits the number of lines. An array (n_lines, n_responses, n_drives), as
-returned by MATLAB's ``modalfrf``, contains all FRFs of a test: one response per row, one drive per column. Points
+``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs has the
+shape (n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines. An array (n_lines, n_responses,
+n_drives), as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive. Points
 are rows of text, such as ``"tip z"``. Nothing is unpickled.
 """
 
@@ -145,7 +145,7 @@ def mat_arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> Iterator[tuple[str, AnyArray]]:
-    """Yield the name and value of each numeric or text array, with structures expanded."""
+    """Yield the name and value of each numeric or text array, including the arrays inside structures."""
     for name, value in content.items():
         array = np.asarray(value)
         fields = getattr(value, "_fieldnames", None)
@@ -202,7 +202,7 @@ def _find(
 ) -> AnyArray | None:
     """Return the array for an attribute of `fmu.FRFData`, or None if the file does not have it.
 
-    Raises ModesError if the user named an array that is missing.
+    Raise ModesError if the user gave the name of an array that is missing.
     """
     if attribute in variables:
         if variables[attribute] not in arrays:

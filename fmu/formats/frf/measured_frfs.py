@@ -72,7 +72,7 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
 
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
-        """Return a copy with only the FRFs numbered in `frfs` (from 1), or all FRFs if it is None.
+        """Return a copy with only the FRFs whose numbers (from 1) are in `frfs`, or with all FRFs if it is None.
 
         `name` is the file name for messages.
         """
@@ -133,9 +133,9 @@ def point_of(text: str) -> Dof:
 def points_in_order(
     name: str, key: str, found: Sequence[Dof] | None, given: Points | None, n: int
 ) -> tuple[Dof, ...]:
-    """Return the `given` points, or the points `found` in the file if none are given.
+    """Return the `given` points or, if none are given, the points `found` in the file.
 
-    Raises ModesError unless there are `n` points.
+    Raise ModesError unless there are `n` points.
     """
     points = found if given is None else given
     if points is None:

@@ -1,4 +1,4 @@
-"""Reads frequency response functions from any supported file format, recognised by the file suffix."""
+"""Read frequency response functions from a file in any supported format, recognised by the file suffix."""
 
 from __future__ import annotations
 

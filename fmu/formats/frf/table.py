@@ -90,7 +90,7 @@ def _read_wide(
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
     """Read a table with one row per frequency line.
 
-    Returns the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
+    Return the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
     """
     frfs: dict[tuple[str, str], _Columns] = {}
     for name in header:
@@ -111,7 +111,7 @@ def _read_long(
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
     """Read a table with one row per FRF value.
 
-    Returns the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
+    Return the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
     """
     parts = [name for name in header if name not in (_FREQUENCY, *_POINTS)]
     allowed = [*(name for pair in _PAIRS for name in pair), *_OPTIONAL]
@@ -142,7 +142,7 @@ def _read_long(
 
 
 def _check_pair(parts: Sequence[str], of: str, found: list[str]) -> None:
-    """Append an error to `found` unless the columns are re and im, or amplitude and phase_deg."""
+    """Append an error to `found` unless the columns `parts` are re and im, or amplitude and phase_deg."""
     if sorted(name for name in parts if name not in _OPTIONAL) not in [sorted(pair) for pair in _PAIRS]:
         found.append(f"must have columns re and im, or amplitude and phase_deg{of} (got {names_shown(parts)})")
 

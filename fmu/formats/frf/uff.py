@@ -229,7 +229,7 @@ def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
 
 
 def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
-    """Return the values of 1 m and 1 N in the file's units, and notes on the units assumed."""
+    """Return 1 m and 1 N expressed in the file's units, and notes on the units that were assumed."""
     factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
     if len(factors) > 1:
         raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
@@ -248,7 +248,7 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
 
 
 def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
-    """Return the coherence of each FRF, shape (n_frfs, n_lines), or None if any FRF lacks it."""
+    """Return the coherence of each FRF, shape (n_frfs, n_lines), or None unless all FRFs have one."""
     ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
     of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
     rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]
@@ -257,7 +257,7 @@ def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: Flo
 
 
 def _labels(frfs: Sequence[Dataset]) -> list[str]:
-    """Return a note if an axis label says that accelerations are in g."""
+    """Return a list with a note if an axis label says that accelerations are in g, otherwise an empty list."""
     labels = {str(one["ordinate_axis_units_lab"]).strip() for one in frfs}
     of_g = sorted(label for label in labels if label.lower().partition("/")[0].strip() in ("g", "gn", "g's"))
     if not of_g:

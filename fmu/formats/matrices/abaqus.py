@@ -105,7 +105,7 @@ _MOST_NODES = 100
 
 
 class _Element(NamedTuple):
-    """One element matrix: number, kind, degrees of freedom coded as 8 × node + direction, and lower triangle."""
+    """One element matrix: number, kind, degrees of freedom (coded as 8 × node + direction), and lower triangle."""
 
     number: str
     kind: str
@@ -120,14 +120,14 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     ----------
     file : binary file
     variable : str, optional
-        ``"stiffness"`` or ``"mass"``; needed if the file has both.
+        ``"stiffness"`` or ``"mass"``; required if the file contains both.
 
     Raises
     ------
     ValueError
         If an element has a wrong number of nodes or entries, or wrong directions.
     RefusedError
-        If there is no matrix of this name, or there are too many entries.
+        If there is no matrix with this name, or there are too many entries.
     """
     places, entries, n, held = list[IntArray](), list[FloatArray](), 0, 0
     kinds, seen, index = dict[str, None](), set[tuple[str, str]](), dict[int, int]()
@@ -246,7 +246,7 @@ def _whole(word: str) -> int:
 
 
 def _without_keywords(text: str) -> str:
-    """Remove keyword lines from a text, and replace commas with blanks."""
+    """Return a text without its keyword lines, and with commas replaced by blanks."""
     if "*" in text:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("*"))
     return text.replace(",", " ")

@@ -30,7 +30,7 @@ NAMES = ("stiffness", "mass")
 
 
 def full_arrays(path: Path) -> dict[str, AnyArray]:
-    """Read the arrays in a ``.full`` file, by name; ansys-mapdl-reader must be installed.
+    """Read the arrays in a ``.full`` file, keyed by name; ansys-mapdl-reader must be installed.
 
     Raises
     ------
@@ -65,7 +65,10 @@ def full_arrays(path: Path) -> dict[str, AnyArray]:
 
 @lru_cache(maxsize=1)
 def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
-    """Read the arrays in a file, by name. The result is cached because stiffness and mass are read in turn."""
+    """Read the arrays in a file, keyed by name.
+
+    The result is cached, because stiffness and mass are read in turn.
+    """
     return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 
 

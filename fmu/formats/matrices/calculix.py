@@ -6,10 +6,10 @@ The step of the input deck must be::
     10
 
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
-``job.dof`` is ``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can
-have the name of one node. These rows are given new node ids above the ids in the file, and the displacement of the
-original node is the mean over them. ``job.12d`` lists the expanded nodes. Without that file, every name that
-occurs more than once is assumed to be expanded.
+``job.dof`` is the name ``node.direction`` of row i. CalculiX expands shells and beams into solids, so several rows
+can have the same node's name. These rows are given new node ids above the ids in the file, and the displacement of
+the original node is their mean. ``job.12d`` lists the expanded nodes. Without that file, every name that occurs
+more than once is assumed to be expanded.
 """
 
 from __future__ import annotations
@@ -160,8 +160,8 @@ def _copies(is_shell: bool, k: int, n: int) -> int:
 def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tuple[int, str], ...], Motions]:
     """Return distinct row names, and the displacements of expanded nodes as means over several rows.
 
-    If a support fixes some copies of a node, the other copies' mean is not the node's displacement, and is
-    omitted.
+    If a support fixes some of a node's copies, the mean of the other copies is not the node's displacement, so it
+    is omitted.
     """
     counts: dict[tuple[int, str], int] = {}
     for name in read:

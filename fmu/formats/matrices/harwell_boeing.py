@@ -83,8 +83,8 @@ def _count(line: str, at: int) -> int:
 def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> FloatArray:
     """Read numbers from fixed-width columns in a Fortran format, such as ``(10I8)`` or ``(1P,3D26.18)``.
 
-    If blanks separate the expected number of words, the widths are ignored, because SciPy writes wider columns
-    than the format states.
+    If the text has the expected number of words separated by blanks, the widths are ignored, because SciPy writes
+    wider columns than the format states.
     """
     if n_lines > expected:
         raise ValueError(f"it announces {n_lines} lines for {expected} numbers")

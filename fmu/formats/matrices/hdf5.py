@@ -128,7 +128,7 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 def _part(group: h5py.Group, name: str) -> AnyArray:
     """Return one component array of a sparse matrix.
 
-    Raises RefusedError if it is a group, or a soft or external link.
+    Raise RefusedError if it is a group, or a soft or external link.
     """
     if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
@@ -138,7 +138,7 @@ def _part(group: h5py.Group, name: str) -> AnyArray:
 def _numbers(dataset: h5py.Dataset) -> AnyArray:
     """Read a dataset after checking that it is numeric, stored in this file and not too large.
 
-    The check covers chunks too: each is read as a whole, and may be larger than the dataset.
+    Chunks are checked too, because each is read as a whole and may be larger than the dataset.
     """
     if dataset.dtype.kind not in "fiubc":
         raise RefusedError(f"must have numbers in {dataset.name} (got {dataset.dtype})")

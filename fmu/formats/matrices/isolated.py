@@ -1,4 +1,4 @@
-"""Runs third-party readers in a separate process, because some of them crash on broken files."""
+"""Run third-party readers in a separate process, because some of them crash on broken files."""
 
 from __future__ import annotations
 

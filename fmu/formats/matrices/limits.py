@@ -53,7 +53,7 @@ class Labelled(NamedTuple):
     in_input_order : bool
         Whether unnamed rows follow the order in which the deck defines the nodes, as in MYSTRAN.
     is_whole : bool
-        Whether the matrix is known to include neither supports nor constraints, like a sum of element matrices.
+        True if the matrix is known to include no supports or constraints, like a sum of element matrices.
     """
 
     matrix: Matrix
@@ -140,7 +140,7 @@ def choose_variable(names: Sequence[str], variable: str | None) -> str:
 
 
 def fitting(n_bytes: int) -> None:
-    """Raise RefusedError if the content, `n_bytes` after decompression, exceeds `LARGEST_CONTENT`."""
+    """Raise RefusedError if the decompressed content, `n_bytes`, is larger than `LARGEST_CONTENT`."""
     if n_bytes > LARGEST_CONTENT:
         raise RefusedError(f"must hold at most {LARGEST_CONTENT} bytes (got {n_bytes})")
 

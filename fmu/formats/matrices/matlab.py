@@ -42,7 +42,7 @@ _HEAD = 4096
 
 
 class _Variable(NamedTuple):
-    """A matrix header, and where the matrix is stored; `field` is its index among the parts of a struct."""
+    """A matrix's header and its location in the file; `field` is its index among the parts of a struct."""
 
     kind: int
     shape: tuple[int, ...]

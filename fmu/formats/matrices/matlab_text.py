@@ -52,7 +52,7 @@ class _Place(NamedTuple):
 
 
 def _places(text: str) -> tuple[dict[str, _Place], set[str]]:
-    """Return the `_Place` of each matrix by name, and the names of tables that sparse matrices are built from."""
+    """Return the `_Place` of each matrix, keyed by name, and the names of tables used to build sparse matrices."""
     places: dict[str, _Place] = {}
     tables: set[str] = set()
     at = 0
@@ -109,7 +109,7 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
 
 
 def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
-    """Return the numbers of rows and columns if they are literals or variables set to literals, or None if not."""
+    """Return the numbers of rows and columns if they are literals or variables set to literals, otherwise None."""
     found = []
     for word in words or ():
         number = re.fullmatch(r"\d{1,9}", word) or re.search(rf"(?<![\w.]){word}\s*=\s*(\d{{1,9}})\s*[;,\n]", text)

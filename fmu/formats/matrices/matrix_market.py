@@ -160,7 +160,10 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 
 
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
-    """Build a matrix (rows, columns) from values in column order, or from its lower triangle if symmetric."""
+    """Build a matrix (rows, columns) from its values in column order.
+
+    A symmetric one is given by its lower triangle.
+    """
     if not sign:
         return values.reshape((rows, columns), order="F")
     matrix = np.zeros((rows, columns))

@@ -223,7 +223,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice for the user if a matrix has entries in only one triangle, or an empty string if not."""
+    """Return advice for the user if a matrix has entries in only one triangle, otherwise an empty string."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""
@@ -232,7 +232,7 @@ def _triangle_alone(matrix: sp.csr_array) -> str:
 
 
 def _off_diagonal(matrix: sp.csr_array) -> tuple[int, int]:
-    """Count the entries above and below the diagonal."""
+    """Return the numbers of entries above and below the diagonal."""
     row = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
     return int(np.sum(matrix.indices > row)), int(np.sum(matrix.indices < row))
 

@@ -45,8 +45,8 @@ def assemble(
     Parameters
     ----------
     read : sequence of Labelled
-        The matrices. A matrix with named rows may lack rows that are zero. A matrix without names is given the
-        names of the set of `mesh` that has the same number of rows.
+        The matrices. A matrix with named rows may lack rows that are zero. A matrix without row names is given the
+        names in the set of `mesh` that has the same number of rows.
     n_stiffness : int
         Number of stiffness matrices, which come first.
     where : sequence of str
@@ -105,14 +105,14 @@ def assemble(
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:
-    """Collect the notes on all matrices without duplicates, such as notes on triangles that were filled in."""
+    """Return the notes on all matrices without duplicates, such as notes on triangles that were filled in."""
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 
 def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -> tuple[DofName, ...]:
-    """Return a matrix's row names, taken from the mesh set of the same size if the file gives none.
+    """Return a matrix's row names, or the names in the mesh set of the same size if the file gives none.
 
-    This assumption is added to `assumed` as a note, with the name of the set.
+    A note that names the assumed set is then added to `assumed`.
     """
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:

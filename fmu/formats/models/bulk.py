@@ -1,8 +1,8 @@
 """Reader for nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
 Matrices are along the axes of each node's output coordinate system, CD. OP4 files do not name their rows. The rows
-of the g-set are the nodes in ascending order (in MYSTRAN, in the order of the deck) with six components each, and
-scalar points with one component. This module knows three smaller sets. The n-set is the g-set without components
+of the g-set are the nodes in ascending order (in MYSTRAN, in deck order) with six components each, and scalar
+points with one component. This module also knows three smaller sets. The n-set is the g-set without components
 that constraints make dependent (`fmu.formats.constraints.nastran`). The f-set is the n-set without components that
 GRID, SPC and SPC1 fix. The a-set is defined by ASET entries.
 """
@@ -106,7 +106,7 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
 def _is_ascending(sequence: str) -> bool:
     """Return True if MYSTRAN sorts its rows by node id (PARAM,GRIDSEQ,GRID), or False for INPUT.
 
-    Raises RefusedError for BANDIT.
+    Raise RefusedError for BANDIT.
     """
     if sequence == "BANDIT":
         raise RefusedError(

@@ -1,4 +1,4 @@
-"""Applies a mesh's constraints to matrices, and expresses the motions of dependent degrees of freedom.
+"""Apply a mesh's constraints to matrices, and express the motions of dependent degrees of freedom.
 
 Some programs write K and M for all degrees of freedom, others Tᵀ K T and Tᵀ M T for the independent ones. The rows
 show which: if a dependent degree of freedom has a nonzero row, T has not been applied yet.
@@ -30,7 +30,7 @@ class Constrained(NamedTuple):
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node id, direction)
     transformation : Transformation, optional
-        T in u = T q, or None without constraints.
+        T in u = T q, or None if there are no constraints.
     notes : list of str
     """
 
@@ -43,7 +43,7 @@ class Constrained(NamedTuple):
 def constrain(
     matrices: Sequence[sp.csr_array], dofs: Sequence[DofName], mesh: Mesh, means: Motions, *, is_whole: bool
 ) -> Constrained:
-    """Remove dependent and fixed degrees of freedom from matrices; return the result with T in u = T q.
+    """Return matrices without dependent and fixed degrees of freedom, together with T in u = T q.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
 """Nastran coordinate systems: positions and axes in rectangular, cylindrical and spherical systems.
 
-MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on the z
-axis, the third in the xz plane. Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from the z
-axis and φ about it. Angles are in degrees. Where the direction of r or θ is undefined, θ = φ = 0 defines the axes.
+CORD1x and CORD2x define a system by three points: the origin, a point on the z axis, and a point in the xz plane
+(MSC Nastran, *Quick reference guide*). Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from
+the z axis and φ about it. Angles are in degrees. Where the direction of r or θ is undefined, θ = φ = 0 defines the
+axes.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ class Systems:
         return np.asarray(tilted @ about_z @ own)
 
     def _from(self, system: int, coordinates: FloatArray, depth: int) -> FloatArray:
-        """Convert a point's coordinates in a system to global coordinates, shape (3,)."""
+        """Return the global coordinates (3,) of a point whose coordinates are given in a system."""
         if system == 0:
             return np.asarray(coordinates, dtype=float)
         origin, own = self._frame(system, depth + 1)

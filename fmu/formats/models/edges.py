@@ -1,4 +1,4 @@
-"""Lines for plotting a mesh, taken from line elements and face edges, and the nodes inside solids."""
+"""Lines for plotting a mesh, taken from line elements and face edges, and the nodes that lie inside solids."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return the edges of all faces, shape (n, 2); if there are many, only those that outline the shape.
+    """Return the edges of all faces, shape (n, 2). If there are many, return only those that outline the shape.
 
     See `MOST_EDGES`.
     """

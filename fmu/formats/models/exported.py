@@ -32,13 +32,13 @@ class Mesh(NamedTuple):
     elements : tuple of tuple of int
         Node ids of each element: corners in order, then any midside nodes.
     kinds : tuple of str
-        Element kinds by meshio's names: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
+        meshio's name for each element's kind: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
     notes : tuple of str
         One sentence for each omission.
     axes : mapping of int to ndarray, shape (3, 3)
         Unit vectors (rows) along a node's degrees of freedom, if these are not along global axes.
     sets : mapping of str to tuple of (node, direction)
-        Possible rows of matrices without names, by the program's name for the set, such as ``"g"``.
+        Possible rows of matrices without names, keyed by the program's name for the set, such as ``"g"``.
     order : tuple of int
         Node ids in input order, for matrices whose rows may be in that order.
     equations : tuple of Equation
@@ -70,12 +70,12 @@ def mesh_of(
     axes: Mapping[int, FloatArray] | None = None,
     sets: Mapping[str, tuple[DofName, ...]] | None = None,
 ) -> Mesh:
-    """Check nodes and elements, and return them as a mesh with node ids in ascending order.
+    """Return nodes and elements as a mesh with node ids in ascending order, after checking them.
 
     Raises
     ------
     RefusedError
-        If it has no nodes, too many nodes or elements, an element with an unknown node, or a coordinate that is
+        If there are no nodes, too many nodes or elements, an element with an unknown node, or a coordinate that is
         not finite.
     """
     if not places:

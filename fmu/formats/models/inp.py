@@ -145,7 +145,7 @@ TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes
 
 
 def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
-    """Return the node ids on face S1, S2 … of a solid, including midside nodes, or [] if there is no such face."""
+    """Return the node ids on face S1, S2 … of a solid, including midside nodes, or [] if it has no such face."""
     shape = kind.rstrip("0123456789")
     at = int(name[1:]) - 1 if re.fullmatch("S[1-6]", name) else 6
     if at >= len(_FACES_OF.get(shape, ())):
@@ -157,7 +157,7 @@ def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
 
 
 def kind_of(name: str) -> tuple[str, int]:
-    """Return meshio's name and the node count for an element type, or ("", 0) if the type is unknown."""
+    """Return meshio's name and the node count for an element type. An unknown type gives ("", 0)."""
     for pattern, kinds in _TYPES:
         found = re.match(pattern, name)
         if found is None:

@@ -123,7 +123,7 @@ def read_model(
 def read_ties(
     path: Path, mesh: Mesh, dofs: Collection[DofName]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Derive tied nodes' displacements from the modes that CalculiX printed; return them with notes.
+    """Return the displacements of tied nodes, derived from the modes that CalculiX printed, and notes.
 
     See `tied_motions`.
 
@@ -182,7 +182,7 @@ def _mesh_of(path: Path) -> Mesh:
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
-    """Read row names, one ``node,direction`` per line. Blanks may replace commas, and a title line is skipped.
+    """Read row names, one ``node,direction`` per line. Blanks may replace commas. A title line is skipped.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def _both(path: Path) -> tuple[str, str]:
 
 
 def read_beside(path: Path) -> list[Path]:
-    """Return the files that are read along with `path`, although the problem file does not name them.
+    """Return the files that are read together with `path` although the problem file does not name them.
 
     These are the mass matrix and the row names, or the files that a Nastran deck includes.
     """
@@ -286,7 +286,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Call `read`; re-raise any ValueError as an error in the argument named `argument`."""
+    """Return the result of `read`, and raise any ValueError in it as an error in the argument `argument`."""
     try:
         return read()
     except ValueError as error:

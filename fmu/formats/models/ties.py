@@ -1,8 +1,8 @@
 """Displacements of nodes that CalculiX ties to an element face (``*TIE``), which have no rows in its matrices.
 
-CalculiX does not write the tie equations, but it also prints the modes at tied nodes. A node that moves but has no
-row is projected onto the nearest faces. The shape functions at the projection are the weights of the face's nodes,
-if they reproduce the printed displacements.
+CalculiX does not write the tie equations, but it prints the modes at tied nodes too. A node that moves but has no
+row is projected onto the nearest faces. If the shape functions at the projection reproduce the printed
+displacements, they are the weights of the face's nodes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STEPS = 30
 
 
 class _Face(NamedTuple):
-    """An element face: mesh row indices of its corners, and of its midside nodes, if any, in the same order."""
+    """An element face, as mesh row indices: its corners, and any midside nodes in the same order."""
 
     corners: list[int]
     midsides: list[int]
@@ -40,7 +40,7 @@ class _Face(NamedTuple):
 def tied_motions(
     mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Express the displacements of tied nodes as weighted sums of degrees of freedom.
+    """Return the displacements of tied nodes as weighted sums of degrees of freedom.
 
     Parameters
     ----------
@@ -49,7 +49,8 @@ def tied_motions(
     dofs : collection of (node id, direction)
         Row names of the matrices.
     modes : mapping of int to ndarray, shape (n_modes, 3)
-        Printed displacements along global axes by node id, for tied nodes and the faces that they are tied to.
+        Printed displacements along global axes, keyed by node id, for tied nodes and the faces to which they are
+        tied.
 
     Returns
     -------
@@ -114,9 +115,9 @@ def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def _weights(
     node: int, row: int, faces: list[_Face], mesh: Mesh, modes: Mapping[int, FloatArray], largest: FloatArray
 ) -> dict[int, float] | None:
-    """Return the nodal weights on the nearest face that reproduces a node's printed displacements.
+    """Return nodal weights on the nearest face that reproduces a node's printed displacements.
 
-    Returns None if no nearby face does.
+    Return None if no nearby face does.
     """
     found: list[tuple[float, dict[int, float]]] = []
     for face in faces:
@@ -132,7 +133,7 @@ def _weights(
 
 
 def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> FloatArray:
-    """Return the shape functions (n,) at the point on a face closest to `point` (3,), using Gauss–Newton steps."""
+    """Return the shape functions (n,) at a face's closest point to `point` (3,), found by Gauss–Newton steps."""
     at = np.full(2, 1.0 / 3.0) if n_corners == 3 else np.zeros(2)
     for _ in range(_STEPS):
         N, dN = _shape_functions(at, len(corners), n_corners)
@@ -145,7 +146,7 @@ def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> Float
 
 
 def _inside(at: FloatArray, n_corners: int) -> FloatArray:
-    """Return the point (2,) in the reference triangle or square nearest to `at`."""
+    """Return the point (2,) of the reference triangle or square that is nearest to `at`."""
     if n_corners == 4:
         return np.clip(at, -1.0, 1.0)
     beyond = max(float(np.maximum(at, 0.0).sum()) - 1.0, 0.0)

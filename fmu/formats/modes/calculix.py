@@ -1,4 +1,4 @@
-"""Reader for modes that CalculiX prints at sensors; `fmu.formats.calculix_dat` describes the required deck."""
+"""Reader for modes that CalculiX prints at sensors. `fmu.formats.calculix_dat` describes the required deck."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
 class Row(NamedTuple):
-    """A table row: its line number in the file, counted from 1, and its values by column name."""
+    """A table row: its line number in the file, counted from 1, and its values keyed by column name."""
 
     line: int
     values: dict[str, str]
@@ -157,7 +157,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
 
 
 def read_points(path: Path) -> dict[str, FloatArray]:
-    """Read a table of points, and return the coordinates of each point by name, shape (3,).
+    """Read a table of points, and return each point's coordinates, shape (3,), keyed by name.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def read_points(path: Path) -> dict[str, FloatArray]:
 def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
     """Read the frequencies from repeated tests in Hz, shape (n_tests, n_modes), and the mode labels.
 
-    A frequency is NaN if the test missed the mode.
+    A frequency is NaN if its test missed the mode.
 
     Raises
     ------

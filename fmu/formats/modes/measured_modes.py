@@ -119,7 +119,7 @@ class ModesFormat:
 def modes_chosen(
     name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
 ) -> MeasuredModes:
-    """Select the computed modes with the given numbers, or all modes if `modes` is None.
+    """Return the computed modes with the given numbers, or all modes if `modes` is None.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
 
 
 def checked_file(path: Path, most: int | None = None) -> Path:
-    """Check that a file can be read and has at most `most` bytes, and return its path.
+    """Return a path after checking that it is a readable file with at most `most` bytes.
 
     `most` defaults to `LARGEST_FILE`.
 

@@ -128,9 +128,9 @@ def pyoma_modes(
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
     """Return standard deviations for shapes scaled to unit length, shape (n_sensors, n_modes).
 
-    Returns None if there is only one sensor. The component that scales a shape has no standard deviation. It is
-    given `FIXED` times the other components' smallest standard deviation, which changes the variance of any ratio
-    by at most a fraction `FIXED`².
+    Return None if there is only one sensor. The component that scales a shape has no standard deviation. It is
+    given `FIXED` times the smallest standard deviation of the other components. This changes the variance of any
+    ratio by at most a fraction `FIXED`².
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")
@@ -167,14 +167,14 @@ def read_pyoma(
 
 
 def save_pyoma(path: Path, result: object) -> None:
-    """Write the attributes that `pyoma_modes` needs to an ``.npz`` file, for use in a problem file."""
+    """Write the result attributes that `pyoma_modes` needs to an ``.npz`` file that a problem file can name."""
     arrays: dict[str, Any] = {name: np.asarray(part) for name, part in _parts(result).items() if part is not None}
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
 
 def load_pyoma(path: Path) -> dict[str, AnyArray]:
-    """Read the arrays that `save_pyoma` wrote, by name. Nothing is unpickled.
+    """Return the arrays that `save_pyoma` wrote, keyed by name. Nothing is unpickled.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
 
 
 def _parts(result: object) -> dict[str, ArrayLike | None]:
-    """Return the result attributes that fmu uses, by name; a missing or meaningless attribute is None."""
+    """Return the result attributes that fmu uses, keyed by name. A missing or meaningless attribute is None."""
     given = {name: _attribute(result, name) for name in _KEPT}
     if _attribute(result, "setups_used") is not None:
         given["Fn_std"] = given["Phi_std"] = None

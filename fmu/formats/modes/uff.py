@@ -210,7 +210,7 @@ def _mesh(
 
 
 def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset]) -> dict[int, Place]:
-    """Return the place of each node that is used, by node number."""
+    """Return the place of each node that is used, keyed by node number."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
         return {node: node for node in there}
@@ -222,7 +222,7 @@ def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset])
 
 
 def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
-    """Return a mode's complex components, by (place, direction)."""
+    """Return a mode's complex components, keyed by (place, direction)."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
         for i, direction in enumerate(DIRECTIONS)
@@ -250,7 +250,7 @@ def _frequency(mode: Dataset) -> float:
 
 @contextmanager
 def imported_pyuff() -> Iterator[ModuleType]:
-    """Import pyuff for the duration of a ``with`` block, with its deprecation warnings silenced."""
+    """Within a ``with`` block, provide pyuff with its deprecation warnings silenced."""
     try:
         import pyuff
     except ImportError:
@@ -275,7 +275,7 @@ def datasets(path: Path) -> list[Dataset]:
 
 
 def read_uff_points(path: Path) -> dict[str, FloatArray]:
-    """Read node coordinates (3,) from datasets 15 and 2411, in the file's unit, by node number as text.
+    """Read node coordinates (3,) from datasets 15 and 2411, in the file's unit, keyed by node number as text.
 
     Raises
     ------
@@ -375,9 +375,9 @@ def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Com
 
 
 def write_test_geometry(points: FloatArray) -> str:
-    """Return measurement points as universal file text: nodes in dataset 15, and a trace line through them in 82.
+    """Return measurement points as universal file text: nodes in dataset 15 and, in 82, a trace line through them.
 
-    The points are numbered from 1. pyuff need not be installed, because the text is written without it.
+    The points are numbered from 1. The text is written without pyuff, so that pyuff need not be installed.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def _fields(line: str) -> tuple[str, list[str]]:
 def whole(field: str, what: str, default: int | None = None) -> int:
     """Return the integer in a field, or the default if the field is empty.
 
-    Raises ValueError if the field is not a whole number.
+    Raise ValueError if the field is not a whole number.
     """
     if not field and default is not None:
         return default
@@ -80,7 +80,7 @@ def whole(field: str, what: str, default: int | None = None) -> int:
 def identity(field: str, what: str) -> int:
     """Return the node, element or coordinate system id in a field.
 
-    Raises ValueError if it is not between 1 and `LARGEST_ID`.
+    Raise ValueError if it is not between 1 and `LARGEST_ID`.
     """
     number = whole(field, what)
     if not 1 <= number <= LARGEST_ID:
@@ -99,7 +99,10 @@ def number(field: str, what: str, default: float | None = None) -> float:
 
 
 def components(field: str, what: str) -> list[int]:
-    """Return the components (1 to 6) in a field such as ``123456``, or [1] if it is 0 or empty (scalar point)."""
+    """Return the components (1 to 6) in a field such as ``123456``.
+
+    A field that is 0 or empty (scalar point) gives [1].
+    """
     if field in ("", "0"):
         return [1]
     if not re.fullmatch("[1-6]{1,6}", field):

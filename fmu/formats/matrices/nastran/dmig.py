@@ -27,7 +27,7 @@ SYMMETRIC = 6
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Read a matrix; its rows are the nodes and components that its entries name, in ascending order."""
+    """Read a matrix. Its rows are the nodes and components named by its entries, in ascending order."""
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0

@@ -34,7 +34,7 @@ class _Count:
 
 
 def deck_lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a deck, with included files inserted in place.
+    """Yield the lines of a deck, with the lines of included files inserted.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def deck_lines(path: Path) -> Iterator[str]:
 
 
 def included_files(path: Path) -> list[Path]:
-    """Return the files that a deck includes, without duplicates, as paths below its folder; see `deck_lines`."""
+    """Return the paths of the files that a deck includes, without duplicates; see `deck_lines`."""
     folder, found = path.parent.resolve(), dict[Path, None]()
     for _ in _lines(path, folder, (path.resolve(),), _Count(), found):
         pass
@@ -58,7 +58,7 @@ def included_files(path: Path) -> list[Path]:
 def _lines(
     path: Path, folder: Path, within: tuple[Path, ...], count: _Count, found: dict[Path, None] | None = None
 ) -> Iterator[str]:
-    """Yield the lines of a file and its included files.
+    """Yield the lines of a file and of the files that it includes.
 
     `within` is the chain of files that include this one. Included files are added to `found` if it is given.
     """

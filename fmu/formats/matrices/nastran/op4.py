@@ -118,7 +118,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name and entries of each matrix; the entries are None unless the name is `variable`."""
+    """Yield the name and entries of each matrix. The entries are None for every matrix except `variable`."""
     end = file.seek(0, 2)
     file.seek(0)
 
@@ -196,7 +196,7 @@ _TITLE = re.compile(r"\s*(\d+)\s*(-?\d+)\s+(\d+)\s+(\d+)\s*([A-Za-z]\w*)\s*(?:1P
 
 
 def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name and entries of each matrix; the entries are None unless the name is `variable`.
+    """Yield the name and entries of each matrix. The entries are None for every matrix except `variable`.
 
     Lines with a decimal point contain values; the other lines give the column and row of the values that follow.
     The word counts on these lines are ignored, because some programs write wrong counts.
