@@ -14,6 +14,7 @@ from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
 from fmu.samplers.kernel import Info, State, Tree
 from fmu.samplers.local import LocalSampler
 from fmu.samplers.mixture.quadratic import Quadratic, definite
+from fmu.samplers.mixture.warp import Warp
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
 from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric, WithGradient
 from fmu.types import FloatArray, LogDensity, Positive
@@ -126,7 +127,9 @@ class HamiltonianMonteCarlo(LocalSampler):
         step_size, n_steps = np.asarray(self.step_size or START_STEP_SIZE), self.n_steps or START_STEPS
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
-    def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> HamiltonianMonteCarlo:
+    def starting_from(
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
+    ) -> HamiltonianMonteCarlo:
         """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 
         The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if warm-up can learn M⁻¹.

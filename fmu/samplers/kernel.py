@@ -20,6 +20,7 @@ from fmu.types import LogDensity as LogDensity
 
 if TYPE_CHECKING:
     from fmu.samplers.mixture.quadratic import Quadratic
+    from fmu.samplers.mixture.warp import Warp
 
 Index = IntArray | BoolArray | slice
 """Index array, boolean mask or slice that selects chains."""
@@ -145,8 +146,13 @@ class Sampler(ABC):
         """Whether each evaluation includes the gradient; by default True if the sampler uses gradients."""
         return bool(self.gradient)
 
-    def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return a copy adapted to the density's maxima, given as quadratics, or `self` by default."""
+    def starting_from(
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
+    ) -> Self:
+        """Return a copy adapted to the density's maxima, given as quadratics, or `self` by default.
+
+        If `warp` is given, the log-density is closer to the quadratics in its coordinates.
+        """
         return self
 
     @abstractmethod

@@ -148,6 +148,8 @@ _ROWS = (
      "float(np.max(errors)) ** 2]", "float(np.max(errors))]", "analysis/convergence/test_needed.py"),
     ("maxima that were missed: entropy of a Gaussian", "analysis/maxima/missed.py",
      "np.log(2.0 * np.pi * math.e) + log_det", "np.log(2.0 * np.pi) + log_det", "analysis/maxima/test_missed.py"),
+    ("funnel of a discrepancy: a determinant of the wrong sign", "analysis/maxima/funnel.py",
+     "peak - 0.5 * np.linalg.slogdet(precision)[1]", "peak + 0.5 * np.linalg.slogdet(precision)[1]", "analysis/maxima/test_funnel.py"),
     ("kinds of maxima: rise along a slope", "analysis/maxima/kinds.py",
      "< 0.5 * rise**2 * _AHEAD * (1.0 - 0.5 * _AHEAD)", "< 5.0 * rise**2 * _AHEAD * (1.0 - 0.5 * _AHEAD)", "analysis/maxima/test_kinds.py"),
     ("masses of maxima: a sum instead of a mean", "analysis/maxima/mode_weights.py",

@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
+from fmu.analysis.maxima.funnel import components_along
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT
 from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
-from fmu.analysis.trace.densities import has_prior
+from fmu.analysis.trace.densities import has_prior, is_updating
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.samplers.mixture.warp import Warp
 from fmu.samplers.settings import whole_number
 from fmu.types import FloatArray, IntArray
 
@@ -37,6 +39,8 @@ _SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 _IN_A_NECK = 10.0
 """Effective draws, of the hundreds around a maximum, below which the quadratic model there is of no use."""
+_FIT_BADLY = 64.0
+"""Effective draws below which a model with a discrepancy gets components for many sizes of the discrepancy."""
 
 
 class Starts(NamedTuple):
@@ -182,21 +186,26 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
     return np.asarray(starts.position)[0]
 
 
-def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
+def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:
     """Return quadratic models at the important maxima, in scaled coordinates, and their mixture weights.
 
     Half of the weight is proportional to the posterior probabilities of the maxima, half is equal. A sampler then
     gets enough first candidates around each maximum to find its shape, and notices a probability that was
     estimated far too low. If `maxima` is None, the single component is at the typical point of a hierarchical
-    posterior.
+    posterior. Where the quadratic models are poor because a discrepancy is inferred, the components lie along its
+    funnel. They are Gaussians in the coordinates of the returned warp, which is None otherwise.
     """
     if maxima is None:
-        return [middle(density)], np.ones(1)
+        return [middle(density)], np.ones(1), None
+    if is_updating(density) and density.likelihood.of_modes and density.likelihood.n_sizes == 1:
+        matter = [m.effective_draws for m in maxima if m.share > NEGLIGIBLE]
+        if min(matter, default=np.inf) < _FIT_BADLY:
+            return components_along(density, maxima)
     scaled = ScaledDensity(density)
     chosen = sorted((m for m in maxima if m.starting_share > _MAY_MATTER), key=lambda m: -m.starting_share)
     chosen = chosen[:_MOST_COMPONENTS]
     share = np.array([m.starting_share for m in chosen])
-    return [scale_maximum(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
+    return [scale_maximum(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen)), None
 
 
 def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:

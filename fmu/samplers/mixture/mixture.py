@@ -19,6 +19,7 @@ from fmu.samplers.mixture.proposal import WIDE, Mixture
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.warmup.local_draws import first_warp
 from fmu.samplers.mixture.warmup.tuner import MixtureTuner
+from fmu.samplers.mixture.warp import Warp
 from fmu.samplers.registry import local_samplers
 from fmu.samplers.settings import Scale, positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
@@ -51,7 +52,7 @@ class MixtureSampler(Sampler):
         Weights of the components; equal by default.
     bent : vector of bool, optional
         Mask of the coordinates that the components transform to log(1 + 10 (u − lower)); see `Warp`. Chosen in
-        warm-up by default.
+        warm-up by default. If it is given, warm-up keeps components that fit fairly until it has many draws.
     wide : float, optional
         Fraction of each component's weight that goes to its wider copies, which keep w bounded. By default warm-up
         chooses 0.05 if the candidates' effective sample size is at least 0.9 per candidate, otherwise 0.1.
@@ -128,11 +129,16 @@ class MixtureSampler(Sampler):
         if self.bent is not None:
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
-    def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
+    def starting_from(
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
+    ) -> Self:
         """Return a copy that starts from these components and weights, or `self` if `components` was given."""
         if self.components is not None:
             return self
-        return replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))
+        given = replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))
+        if warp is None:
+            return given
+        return replace(given, components=tuple(map(warp.quadratic, components)), bent=tuple(warp.bent.tolist()))
 
     def bind(self, density: LogDensity) -> MixtureKernel:
         """Return the kernel that samples `density` with these settings."""

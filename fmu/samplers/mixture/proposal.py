@@ -33,6 +33,8 @@ _POINTS = 3
 """Number of points per coefficient needed to fit a quadratic."""
 _LEAST = 1e-3
 """Fraction of the probability below which a component with too few points is dropped."""
+_FAIR = 0.2
+"""Effective share of the draws above which components of known shapes stay as they are."""
 _SURE = 6.0
 """Effective number of points per coefficient above which a fit needs no cross-validation."""
 _MILDER = 0.7
@@ -242,13 +244,17 @@ def _effective_size(weight: FloatArray) -> FloatArray:
     return np.asarray(of_largest.sum(axis=-1) ** 2 / np.maximum(np.sum(of_largest**2, axis=-1), 1e-300))
 
 
-def refit_mixture(points: Points, start: Mixture) -> Mixture:
+def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> Mixture:
     """Fit a mixture to a log-density, or return `start` if cross-validation on few points shows no gain.
 
     A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
-    few, a fit to either half must therefore suit the other half better than `start` does.
+    few, a fit to either half must therefore suit the other half better than `start` does. If `is_known`, and
+    `start` fits fairly, it is kept until there are `_SURE` effective points per coefficient of all components.
     """
     n = n_coefficients(points.position.shape[1])
+    is_enough = points.effective_size >= _SURE * n * len(start.quadratics)
+    if is_known and not is_enough and points.effective_share(start.log_density(points.position)) > _FAIR:
+        return start
     if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
         return start
     fit = fit_mixture(points, start)

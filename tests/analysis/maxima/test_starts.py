@@ -139,7 +139,7 @@ def test_first_candidates_are_enough_at_a_small_maximum(frame, frame_maxima):
     """Half of the weights are in proportion to the shares, half are equal."""
     shares = [0.03, *[0.97 / (len(frame_maxima) - 1)] * (len(frame_maxima) - 1)]
     rare = [replace(m, share=share) for m, share in zip(frame_maxima, shares, strict=True)]
-    quadratics, weights = components(frame, replace(frame_maxima, maxima=tuple(rare)))
+    quadratics, weights, _ = components(frame, replace(frame_maxima, maxima=tuple(rare)))
     assert len(quadratics) == len(rare) > 1
     assert weights.sum() == pytest.approx(1.0)
     assert (

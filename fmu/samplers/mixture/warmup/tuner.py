@@ -230,7 +230,8 @@ class MixtureTuner:
         old = add_maxima(mixture, new).responsibilities(u)[: len(mixture.quadratics)].sum(axis=0) > 0.5
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # continue with the present mixture
-                mixture = refit_mixture(Points.weigh_draws(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
+                points = Points.weigh_draws(u[old], log_prob[old], seen.log_q[:n][old])
+                mixture = refit_mixture(points, mixture, is_known=self.sampler.bent is not None)
         mixture = add_maxima(mixture, new)
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
             with suppress(np.linalg.LinAlgError):
@@ -289,13 +290,10 @@ class MixtureTuner:
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return all candidates so far with their importance weights.
-
-        Return None if there are none with a finite log-density, or the mixture is curved.
-        """
+        """Return finite candidates and their weights; None if none, or if the components were given or curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
-        if self.gaussians is None or not known.any():
+        if self.gaussians is None or self.sampler.bent is not None or not known.any():
             return None
         return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
 
