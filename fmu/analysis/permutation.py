@@ -107,7 +107,10 @@ def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
 
 
 def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return each column's correlation with x (n,), (n_orders, m), in centred sequences z (n_orders, n, m)."""
+    """Return the correlation of x (n,) with each column of centred sequences z (n_orders, n, m).
+
+    The result has shape (n_orders, m).
+    """
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     t = np.where(present, x[:, None], 0.0)
     t = np.where(present, t - (t.sum(axis=1) / n)[:, None], 0.0)

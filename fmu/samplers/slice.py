@@ -272,7 +272,10 @@ class SliceTuner:
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
-    """Return displacements (n, ndim) for offsets (n, axes) along the axes, which chains may share or not."""
+    """Return displacements (n, ndim) for offsets (n, axes) along the axes.
+
+    All chains share the axes, or each chain has its own.
+    """
     return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
 
 

@@ -333,7 +333,10 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the symmetrised Hessian from gradient differences over ± `step` (ndim,), (ndim, ndim), scaled."""
+    """Return the symmetrised Hessian (ndim, ndim) from differences of the gradient over ± `step` (ndim,).
+
+    Both are in scaled coordinates.
+    """
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway
         vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]

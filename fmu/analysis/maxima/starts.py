@@ -209,7 +209,7 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
 
 
 def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:
-    """Return True if the posterior is a funnel with its maximum in the neck, as model discrepancy may cause.
+    """Return True if the posterior is a funnel with its maximum in the neck, which model discrepancy may cause.
 
     The more the parameters scatter, the wider is their posterior. Its maximum is at little scatter, and hardly any
     draw around it has posterior weight. Return False if several maxima matter.

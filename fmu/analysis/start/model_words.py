@@ -95,7 +95,7 @@ def _beside_structure(problem: UpdatingProblem, k: int) -> str:
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and the colour in it of each row of `parameter_table`.
+    """Return the structure as SVG, and the colour in which it shows each row of `parameter_table`.
 
     If the structure cannot be drawn, the SVG is empty and each colour is None.
     """
