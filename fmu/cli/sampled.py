@@ -149,7 +149,7 @@ def _tell_draws(
 
 
 def _is_certified(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return True if the draws can be trusted: without a surrogate, with a certified one, or made exact."""
+    """Return True if the model has no surrogate or a certified one, or if the draws are made exact."""
     certificate = problem.model.certificate
     return certificate is None or bool(orders.get("exact")) or certificate.ok
 

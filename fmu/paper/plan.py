@@ -114,7 +114,7 @@ class Plan:
 def paper_settings(name: str) -> Sampler:
     """Return one of the paper's samplers with manually chosen settings, in scaled coordinates.
 
-    The paper states neither step sizes nor widths. They are chosen such that the samplers move. HMC uses the
+    The paper states neither step sizes nor widths. Here they are chosen so that the samplers move. HMC uses the
     numerical gradient in eq. (15) and trajectories of fixed length.
     """
     settings: dict[str, Sampler] = {

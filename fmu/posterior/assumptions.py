@@ -119,7 +119,7 @@ _OF = {
 
 
 def _between_tests(problem: Mapping[str, Any]) -> list[str]:
-    """Return the sentences on how parameters differ between several tests of one structure."""
+    """Return the sentences that say how parameters differ between several tests of one structure."""
     if "tests" not in problem:
         return []
     said = ["A parameter has one value in all tests, unless it is named for one of them or for a group."]
@@ -223,7 +223,7 @@ def frequency_sd(
 ) -> FloatArray | None:
     """Return each mode's frequency error sd, (n_modes,), in Hz, or None if it is unknown.
 
-    An inferred standard deviation is represented by its posterior mean or, before a run, by its starting value.
+    If the sd is inferred, it is represented by its posterior mean or, before a run, by its starting value.
     """
     named = list(likelihood.get("noise", ()))
     start = {p["name"]: float(p["start"]) for p in parameters}

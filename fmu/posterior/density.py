@@ -220,8 +220,8 @@ class Posterior:
     def model_parameters(self, theta: FloatArray) -> FloatArray:
         """Return the model's parameters, (n, n_parameters), at theta (n, ndim).
 
-        With several tests, the structural parameters in the first test come first, then those in the second test,
-        and so on.
+        If there are several tests, the structural parameters in the first test come first, then the structural
+        parameters in the second test, and so on.
         """
         return self.layout.of_model(theta)[:, : self.model.n_parameters]
 

@@ -364,7 +364,7 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def breaking_at_commas(text: str) -> str:
-    """Replace spaces by no-break spaces, so that lines in a narrow column break only after commas."""
+    """Make all spaces no-break spaces except after commas, so that a narrow column breaks only at commas."""
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 

@@ -313,7 +313,10 @@ def _not_in_a_deck(names: Sequence[str]) -> list[str]:
 
 
 def _incomplete(file: Path) -> list[str]:
-    """Return a warning, in a list, if the updated file needs files that were not copied, such as modules."""
+    """Return a list with a warning if the updated file needs files that were not copied, such as modules.
+
+    Otherwise the list is empty.
+    """
     from fmu.config import ConfigurationError
 
     try:

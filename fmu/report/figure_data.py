@@ -32,7 +32,7 @@ _POINTS = 72.0
 
 
 def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]:
-    """Return the panels of a figure, and the numbers plotted in them, as a dict.
+    """Return a dict of a figure's panels and the numbers plotted in them.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
 
 
 def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> dict[str, object]:
-    """Return the draws in a corner plot, and the model frequencies at these draws, as a dict.
+    """Return a dict of the draws in a corner plot and the model frequencies at these draws.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return a colour scale for `values`, one fraction per element, as a dict.
+    """Return a dict that describes a colour scale for `values`, one fraction per element.
 
     The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
     """
@@ -188,7 +188,7 @@ def _shapes(modes: xr.Dataset) -> dict[str, object]:
 
 
 def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
-    """Return the sensor positions and the measured displacements there, as a dict.
+    """Return a dict with the sensor positions and the measured displacements at the sensors.
 
     If no shapes were measured, the dict contains the sensor directions and their nearest nodes instead.
     """

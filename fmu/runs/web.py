@@ -228,7 +228,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
-        """Send the page, or the run's events until the server is closed."""
+        """Send the page or, if the address ends in ``events``, the run's events until the server is closed."""
         if not self._is_admitted():
             return
         what = self.path.split("/", 2)[2] if self.path.count("/") > 1 else None

@@ -247,17 +247,20 @@ class LatentErrors:
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """Precision M of each group's latent errors z, given its rows up to each row, shape (n, m, P, P)."""
+        """Precision M of each group's latent errors z given the group's rows so far, shape (n, m, P, P).
+
+        Entry i along the second axis accounts for the rows of the group up to row i.
+        """
         return np.asarray(np.eye(self.loads.shape[3]) + self._gram)
 
     @cached_property
     def _gram(self) -> FloatArray:
-        """Gram matrices AᵀA of the loadings, summed over each group's rows up to each row, shape (n, m, P, P)."""
+        """Gram matrices AᵀA of the loadings, summed over the rows so far, (n, m, P, P); see `_precision`."""
         return self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        """Covariance M⁻¹ of each group's latent errors z, given its rows up to each row, shape (n, m, P, P)."""
+        """Covariance M⁻¹ of each group's latent errors z given the group's rows so far; see `_precision`."""
         if not self._is_single:
             return _solve(self._precision, np.eye(self.loads.shape[3]))
         A = self.loads

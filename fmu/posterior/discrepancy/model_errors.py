@@ -222,7 +222,7 @@ class ModelErrors:
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
     def units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals caused by unit errors: a mode's own, (n, m, k, P), and common, (n, m, k, C)."""
+        """Return the residuals due to a mode's own unit errors, (n, m, k, P), and to common ones, (n, m, k, C)."""
         if not len(self.scattered):
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]

@@ -33,8 +33,8 @@ class FrequencyErrors:
         ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error. The first two are
         normalised as densities of f^m in Hz, the last as a density of ε.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's standard deviation;
-        if the data have a covariance, absolute errors are then correlated.
+        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's standard deviation
+        or covariance. A covariance requires absolute errors without weights and without `model_sd`.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     model_sd : Parameter, optional

@@ -78,7 +78,7 @@ class MACErrors:
 
 @dataclass(frozen=True, eq=False)
 class MACTerm(ErrorTerm):
-    """Errors 1 − MAC; `unit` is the array of measured unit-length shapes, (n_sensors, n_modes)."""
+    """Errors 1 − MAC of the modes. `unit` contains the measured unit-length shapes, (n_sensors, n_modes)."""
 
     unit: FloatArray
     spread: Spread

@@ -105,7 +105,7 @@ class QuantityErrors:
 @check_arguments
 @dataclass(frozen=True)
 class MassErrors(QuantityErrors):
-    """The structure's weighed mass and, if it was measured, its centre of gravity, with Gaussian errors.
+    """The structure's weighed mass and, if it was measured, its centre of gravity. The errors are Gaussian.
 
     Attributes
     ----------
@@ -121,8 +121,8 @@ class MassErrors(QuantityErrors):
         Part of the weighed mass that the model omits because the supports fix it, such as half of the lowest
         columns; 0 for a free structure. `centre` must be the centre of gravity of the remaining mass.
     test : str, optional
-        With several tests, the name of the test in which the mass was measured. The mass is computed with that
-        test's changes and parameters.
+        If there are several tests, the name of the test in which the mass was measured. The mass is computed with
+        that test's changes and parameters.
 
     Raises
     ------
@@ -164,7 +164,7 @@ class MassErrors(QuantityErrors):
 @check_arguments
 @dataclass(frozen=True)
 class StaticErrors(QuantityErrors):
-    """The displacement under a static load, with a Gaussian error.
+    """The displacement under a static load. Its error is Gaussian.
 
     Attributes
     ----------
@@ -179,8 +179,8 @@ class StaticErrors(QuantityErrors):
     at : tuple of (place, direction), optional
         Place and direction of the displacement; by default the same as the load's.
     test : str, optional
-        With several tests, the name of the test in which the displacement was measured. The displacement is
-        computed with that test's changes and parameters.
+        If there are several tests, the name of the test in which the displacement was measured. The displacement
+        is computed with that test's changes and parameters.
 
     Raises
     ------

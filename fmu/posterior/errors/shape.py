@@ -76,7 +76,7 @@ class ShapeErrors:
 
 @dataclass(frozen=True, eq=False)
 class ShapeTerm(ErrorTerm):
-    """Errors in mode shapes; `unit` is the array of measured unit-length shapes, (n_sensors, n_modes)."""
+    """Errors in mode shapes. `unit` contains the measured unit-length shapes, (n_sensors, n_modes)."""
 
     unit: FloatArray
     spread: Spread

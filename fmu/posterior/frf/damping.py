@@ -28,7 +28,7 @@ class ModalDamping:
 
     Attributes
     ----------
-    ratios : float, Parameter, or sequence of them
+    ratios : float, Parameter, or sequence of float or Parameter
         Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last ratio
         applies to all higher modes too. The modes are those of the structure's parts that have drives and
         responses.

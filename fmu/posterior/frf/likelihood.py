@@ -338,7 +338,10 @@ class FRFLikelihood(Likelihood):
 
 
 def _whiten(gradient: FloatArray, information: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return n residuals and their derivatives (n, n) for the first n parameters, at the others' best values."""
+    """Return n residuals and their derivatives (n, n) with respect to the first n parameters.
+
+    The other parameters have their best values, so their uncertainty is accounted for.
+    """
     other = information[n:, n:]
     if len(other):
         gain = np.linalg.lstsq(other, information[n:, :n], rcond=None)[0]

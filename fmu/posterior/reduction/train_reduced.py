@@ -342,7 +342,9 @@ def has_stalled(differences: Sequence[float]) -> bool:
 def on_a_jump(
     model: ReducedStructure, theta: FloatArray, tolerance: float, full: ModalSolution | None = None
 ) -> BoolArray:
-    """Return a mask (n,) of the points where the two models have the same modes but pair different ones.
+    """Return a mask (n,) of the points at which mode pairing jumps.
+
+    There the reduced and the full model have the same modes, but pair different modes with the measured ones.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Plots of the agreement between test and model: MAC matrices, and CoMAC and ECoMAC by sensor."""
+"""Plots of how well test and model agree: MAC matrices, and each sensor's CoMAC and ECoMAC."""
 
 from __future__ import annotations
 

@@ -97,7 +97,10 @@ def _errors(run: ReportedRun) -> str:
 
 
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the verdict with the posterior means and sds of the parameters that `judge_change` shows first."""
+    """Return the verdict that gives the posterior means and sds of the parameters that changed most.
+
+    They are the parameters that `judge_change` shows first.
+    """
     question = "How sure is that?"
     if not names:
         return Verdict(question, "The priors alone decide", None)

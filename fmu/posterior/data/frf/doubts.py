@@ -92,7 +92,10 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return a warning, in a list, if the low-frequency slope or the phase at resonances fits another kind."""
+    """Return a list with a warning if the FRFs fit another kind better, otherwise an empty list.
+
+    The evidence is the slope at low frequencies and the phase at resonances.
+    """
     signs = _signs(spectra, k)
     if signs is None or (signs.slope_fits(k) and signs.phase_fits(k)):
         return []

@@ -231,7 +231,7 @@ class ScoresGivenMain:
     bend : Bend, optional
         Parabolas along which the score densities are curved; if it is None, the ridges are straight.
     curvature : float
-        Largest coefficient of the parabolas of all tests, also if `bend` is None.
+        Largest coefficient of the parabolas over all tests. It is known even if `bend` is None.
     """
 
     def __init__(

@@ -289,7 +289,10 @@ class ScoresInTime:
 
     @cached_property
     def parts(self) -> list[BoolArray]:
-        """Test masks, shape (n_tests,) each. Scores within one mask are independent given all other scores."""
+        """Masks of tests, shape (n_tests,) each.
+
+        Scores of the tests in one mask are independent, given the scores of all other tests.
+        """
         beside: list[set[int]] = [set() for _ in range(self.n_tests)]
         for _, one in self._each:
             for a, b in pairwise(one.order.tolist()):

@@ -157,7 +157,7 @@ def _log_mass(alpha: FloatArray, beta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class TruncatedFamily:
-    """Normal or log-normal distributions truncated to two bounds.
+    """The family of normal, or of log-normal, distributions truncated to given bounds.
 
     Attributes
     ----------

@@ -61,7 +61,7 @@ class Shown(NamedTuple):
     held_out: BoolArray
 
     def at(self, some: IntArray) -> Shown:
-        """Return the FRF at the frequency lines with the given indices."""
+        """Return the FRF at the frequency lines with the indices `some`."""
         parts = self.lines[some], self.measured[some], self.used[some], self.held_out[some]
         return Shown(self.name, self.unit, *parts)
 
