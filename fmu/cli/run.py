@@ -184,7 +184,7 @@ def _run_once(
     cluster: str | None,
     progress: str,
 ) -> int:
-    """Start or resume a run in a directory; return the exit code."""
+    """Start or resume a run in a directory, and return the exit code."""
     gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
         stack.enter_context(stoppable())

@@ -128,7 +128,7 @@ def echo_comparison(
 def _echo_costs(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> pd.DataFrame:
-    """Print whether the samplers agree, and their costs relative to the baseline; return the cost table."""
+    """Print whether the samplers agree, and their costs relative to the baseline. Return the cost table."""
     from fmu.analysis.convergence.agreement import agreement
     from fmu.analysis.convergence.comparison import COUNTED, at_both_points, cost_rows, costs_side_by_side
 

@@ -175,7 +175,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
 
 
 def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
-    """Return the length that a run needed to converge; all its attributes are None if the run did not converge."""
+    """Return the length that a run needed to converge. All its attributes are None if the run did not converge."""
     if not diagnosis.converged:
         return Needed()
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))

@@ -204,7 +204,7 @@ class Posterior:
         return tuple(one[0] if single else one for one in found)
 
     def responses_at(self, theta: FloatArray) -> list[tuple[Any, FloatArray]]:
-        """Return each `FRFTerm` with its own parameters, (n, n_own), at theta (n, ndim)."""
+        """Return each `FRFTerm` together with its own parameters, (n, n_own), at theta (n, ndim)."""
         of_model = self.layout.of_model(theta)
         return [(one.term, one.own(of_model)) for one in self.likelihood.every]
 

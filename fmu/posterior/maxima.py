@@ -145,7 +145,7 @@ def _starts_with_discrepancy(
 def maxima_from(
     problem: Posterior, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
-    """Return the maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
+    """Return the maxima reached from scaled points (n, ndim), sorted from the highest; see `local_maxima`."""
     before = solves()
     if not problem.likelihood.of_modes:
         tops = list[Maximum]()
@@ -253,7 +253,7 @@ def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]
 
 
 def _distinct(problem: Posterior, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the distinct maxima with a finite log-probability, the highest first."""
+    """Return the distinct maxima with a finite log-probability, sorted from the highest."""
     return _merge(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
 

@@ -77,7 +77,7 @@ class DirectoryLock:
             raise ValueError(refusal) from None
 
     def release(self) -> None:
-        """Release the lock; a second call does nothing."""
+        """Release the lock. Calling this again does nothing."""
         if self._lock.is_locked:
             leave(self._directory)
         self._lock.release()
@@ -143,7 +143,10 @@ def noted_phase(directory: Path) -> tuple[str, int, int] | None:
 
 
 def _birth(pid: int) -> str:
-    """Return a process's boot identifier and start time; empty if it has ended or there is no /proc."""
+    """Return a process's boot identifier and start time.
+
+    The result is empty if the process has ended or the system has no /proc.
+    """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]

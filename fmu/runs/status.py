@@ -231,7 +231,10 @@ def _youngest(directory: Path) -> float:
 
 
 def _verdicts(directory: Path) -> dict[str, str]:
-    """Return the verdicts in ``comparison.csv``, keyed by sampler; empty if the file is missing or damaged."""
+    """Return the verdicts in ``comparison.csv``, keyed by sampler.
+
+    The dict is empty if the file is missing or damaged.
+    """
     try:
         with open(directory / "comparison.csv", encoding="utf-8", newline="") as file:
             return {str(row["sampler"]): str(row["verdict"]) for row in csv.DictReader(file)}

@@ -277,7 +277,7 @@ class FRFData:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom with which each sd was estimated; infinite if `sd` was given without `hits`."""
+        """Degrees of freedom with which each sd was estimated. It is infinite if `sd` was given without `hits`."""
         if self.hits is not None:
             return 2.0 * (self.hits - 1)
         return 2.0 * (self.averages - 1.0) if self.sd is None and self.averages is not None else np.inf

@@ -229,7 +229,7 @@ class EmbeddedScatter:
         return cls(("",) * p, np.zeros(p, dtype=bool), np.ones(p), np.zeros(p), np.full(p, -1))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        """Return the unit s_k of each parameter's scatter at values (…, p), with the same shape."""
+        """Return the unit s_k of each parameter's scatter, (…, p), at parameter `values` (…, p)."""
         return np.where(self.relative, np.abs(values), self.size)
 
     @property

@@ -260,7 +260,7 @@ class LatentErrors:
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        """Covariance M⁻¹ of each group's latent errors z given the group's rows so far; see `_precision`."""
+        """Covariance M⁻¹ of each group's latent errors z given the group's rows so far, (n, m, P, P)."""
         if not self._is_single:
             return _solve(self._precision, np.eye(self.loads.shape[3]))
         A = self.loads

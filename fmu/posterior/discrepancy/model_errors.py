@@ -132,7 +132,7 @@ class ModelErrors:
         return np.asarray(sum(found, np.zeros(())))
 
     def scale(self, values: FloatArray) -> FloatArray:
-        """Return the unit s of each parameter's scatter at values (…, p), with the same shape."""
+        """Return the unit s of each parameter's scatter, (…, p), at parameter `values` (…, p)."""
         return self.scatters[0].scale(values)
 
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -192,7 +192,7 @@ class Layout:
         return np.zeros((*z.shape, z.shape[2])) if known is None else known.precision(theta)
 
     def remove_centring(self) -> Layout:
-        """Return the layout in its non-centred form, in which all scores are standard normal."""
+        """Return a copy of the layout in the non-centred form, in which all scores are standard normal."""
         references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
 

@@ -272,7 +272,10 @@ class ModelInTests(ModalModel):
 
 
 class _SensitivitiesInTests(Sensitivities):
-    """Sensitivities in several tests, joined from all configurations; gradient shape (n, m, n_structural)."""
+    """Sensitivities in several tests, joined over all configurations.
+
+    The gradient has the shape (n, m, n_structural).
+    """
 
     def __init__(self, parts: Sequence[tuple[Configuration, Sensitivities]], shape: tuple[int, int, int]) -> None:
         self._parts = parts

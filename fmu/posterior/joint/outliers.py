@@ -248,7 +248,7 @@ class ContaminatedScores:
         return _Terms(logs, np.stack(slopes, axis=1))
 
     def _log_weights(self, theta: FloatArray) -> FloatArray:
-        """Return the log-prior probability of each kind of test (regular or outlier), (n, n_kinds, n_tests)."""
+        """Return the log of each kind's prior probability (regular or outlier), (n, n_kinds, n_tests)."""
         epsilon = np.full(len(theta), self.of.share) if self.share is None else theta[:, self.share]
         m = self.is_outlier.sum(axis=0)
         with np.errstate(divide="ignore"):

@@ -162,7 +162,7 @@ def _mark(axis: Axes, points: FloatArray) -> None:
 
 
 def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Plot a straight structure with the largest displacement upwards; return the x-axis label."""
+    """Plot a straight structure with the largest displacement upwards. Return the x-axis label."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     (along,) = np.flatnonzero(_is_wide(coordinates))
     first = one["displacement"].sel(state=START).to_numpy()
@@ -185,7 +185,7 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Plot a structure undeformed (thin lines) and deformed; return the x-axis label, which is empty."""
+    """Plot a structure undeformed (thin lines) and deformed. Return the x-axis label, which is empty."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
     project = _projection(coordinates, one["displacement"].to_numpy())
@@ -203,7 +203,7 @@ def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Plot the mode shape components of a structure without geometry; return the x-axis label."""
+    """Plot the mode shape components of a structure without geometry. Return the x-axis label."""
     x, places = np.arange(one.sizes["place"]), [str(label) for label in one["place"].to_numpy()]
     directions = {place.rpartition(" ")[2] for place in places}
     if len(directions) == 1:

@@ -273,7 +273,7 @@ def _question(run: ReportedRun, state: str) -> str:
 
 
 def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
-    """Return the verdict on the losses in one state; `table` has a row for each parameter."""
+    """Return the verdict on the losses in one state. `table` has a row for each parameter."""
     question = _question(run, state)
     p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
     by_size = table["mean"].sort_values(ascending=False).index

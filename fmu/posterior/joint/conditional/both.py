@@ -217,7 +217,7 @@ def _about(
 
 
 def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, scales: FloatArray) -> FittedNormal:
-    """Return the normal distribution closest to the main-parameter density; the search starts at theta."""
+    """Return the normal distribution closest to the main-parameter density. The search starts at theta."""
 
     def gradient(w: FloatArray) -> FloatArray:
         return marginal.log_prob_and_grad(w, np.repeat(theta, len(w), axis=0), scales)[1]

@@ -63,7 +63,7 @@ class Slope(NamedTuple):
 
 
 def add_by_column(gradient: FloatArray, slope: Slope) -> None:
-    """Add per-test derivatives to `gradient` (n, ndim) in place; several tests may share a column."""
+    """Add derivatives in each test to `gradient` (n, ndim) in place. Several tests may share a column."""
     for column in np.unique(slope.columns):
         gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
 
@@ -174,7 +174,7 @@ class Multiplied(InTests):
     of: InTests
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the factor in each test at theta (n, n_parameters); it does not depend on the scores."""
+        """Return the factor in each test at theta (n, n_parameters). It does not depend on the scores."""
         raise NotImplementedError
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:

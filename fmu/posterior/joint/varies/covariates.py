@@ -72,7 +72,7 @@ class Covariate:
 
 
 def middle_of(given: float | Prior) -> float:
-    """Return the value itself if it is known, or the median if it is given as a distribution."""
+    """Return the value itself if it is a number, or the median if it is a distribution."""
     return given.median_within(*given.support) if isinstance(given, Prior) else float(given)
 
 
