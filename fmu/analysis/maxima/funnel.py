@@ -1,8 +1,9 @@
-"""Components of a mixture along a funnel: the posterior of a model with a discrepancy, for many sizes of it.
+"""Mixture components along the funnel that the posterior of a model with discrepancy forms.
 
-The larger the discrepancy, the wider is the posterior of the other parameters. Given its size τ, the posterior is
-nearly Gaussian, with the covariance (Jᵀ V(τ)⁻¹ J + prior)⁻¹ to first order. So a Gaussian at the highest point for
-each τ of a fine grid covers the posterior, where a few Gaussians do not.
+The larger the discrepancy, the wider is the posterior of the other parameters. Given the size τ of the
+discrepancy, the posterior is nearly Gaussian, to first order with the covariance (Jᵀ V(τ)⁻¹ J + prior
+precision)⁻¹. A Gaussian at the highest point for each τ of a fine grid therefore covers the posterior, where a few
+Gaussians would not.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _INSIDE = 1e-9  # of x, in which rounding may move a point out of the box
 
 
 class _Components(NamedTuple):
-    """Components of a mixture in the coordinates x of a warp, and the logarithms of their masses."""
+    """Mixture components in the coordinates x of a warp, with the logarithms of their masses."""
 
     quadratics: list[Quadratic]
     log_mass: FloatArray
@@ -53,24 +54,24 @@ class _Components(NamedTuple):
 
     @property
     def share(self) -> FloatArray:
-        """Shares of the probability, shape (n,)."""
+        """Fraction of the total mass in each component, shape (n,)."""
         share = np.exp(self.log_mass - self.log_mass.max())
         return np.asarray(share / share.sum())
 
     def drop_small(self) -> _Components:
-        """Return the components whose mass is not small."""
+        """Return only the components whose mass is not negligible."""
         kept = self.log_mass > self.log_mass.max() + np.log(_MATTERS)
         return _Components([q for q, one in zip(self.quadratics, kept, strict=True) if one], self.log_mass[kept])
 
 
 def components_along(problem: UpdatingProblem, maxima: Maxima) -> tuple[list[Quadratic], FloatArray, Warp]:
-    """Return components along the funnel of an inferred size of the discrepancy, the last parameter of a problem.
+    """Return mixture components along the funnel of an inferred discrepancy.
 
-    Ascents from the maxima, with the size fixed, reach the highest points for each size of a grid. The component
-    there is the Gaussian of the other parameters given the size, and as wide along the size as the grid is coarse.
-    Where the data hardly inform a parameter beyond some value, as the stiffness of a nearly rigid spring, its
-    density has a plateau that no Gaussian covers. A second grid then extends over the parameter with the highest
-    plateau, if few values suffice.
+    The size of the discrepancy is the problem's last parameter. For each size on a grid, ascents from the maxima
+    find the highest points with this size fixed. The component at such a point is the Gaussian of the other
+    parameters given the size. Along the size, it is as wide as the grid is coarse. If the data hardly inform a
+    parameter beyond some value, such as the stiffness of a nearly rigid spring, its density has a plateau that no
+    Gaussian covers. A second grid then extends over the parameter with the highest plateau, if few values suffice.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ def components_along(problem: UpdatingProblem, maxima: Maxima) -> tuple[list[Qua
     quadratics : list of Quadratic
         The components, in scaled units.
     share : ndarray, shape (n,)
-        Their shares of the probability.
+        Fraction of the total mass in each component.
     warp : Warp
         Coordinates in which the components are Gaussians.
 
@@ -106,7 +107,11 @@ def components_along(problem: UpdatingProblem, maxima: Maxima) -> tuple[list[Qua
 
 
 def _on_grid(x: FloatArray, k: int, values: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return each point of x (n, ndim) with each value of coordinate k, and the widths (ndim,) of components."""
+    """Combine each point of x (n, ndim) with each value of coordinate k.
+
+    Return the points, shape (n · n_values, ndim), and the components' widths (ndim,), in which entry k is set from
+    the spacing of the values.
+    """
     points, width = np.repeat(x, len(values), axis=0), width.copy()
     points[:, k] = np.tile(values, len(x))
     width[k] = _WIDTH * (values[1] - values[0])
@@ -114,12 +119,12 @@ def _on_grid(x: FloatArray, k: int, values: FloatArray, width: FloatArray) -> tu
 
 
 class _Given:
-    """The posterior of some parameters given the values of others, around its highest points.
+    """The posterior of some parameters given the values of the others, near its highest points.
 
     Attributes
     ----------
     warp : Warp
-        Coordinates x that are logarithmic in the size of the discrepancy, beyond small sizes, and in parameters
+        Coordinates x. They are logarithmic in the size of the discrepancy, beyond small sizes, and in parameters
         with log-normal priors.
     """
 
@@ -132,14 +137,14 @@ class _Given:
         self.warp = Warp(self._plain.lower, self._plain.upper, bent)
 
     def to_x(self, theta: FloatArray) -> FloatArray:
-        """Return the coordinates x of theta, both (n, ndim)."""
+        """Return the coordinates x of parameter vectors theta; both have shape (n, ndim)."""
         return self.warp.to_x(self._plain.to_scaled(theta))
 
     def components(self, x: FloatArray, width: FloatArray) -> _Components:
         """Return a component for each distinct point that ascents from x (n, ndim) reach.
 
-        A coordinate with a finite `width` (ndim,) keeps its value; the component has this standard deviation along
-        it.
+        A coordinate whose `width` (ndim,) is finite keeps its value in the ascents, and this width is the
+        component's standard deviation along it.
         """
         fixed, quadratic = np.isfinite(width), GaussNewton(self._problem, self._logs)
         crossed = fixed | fixed[:, None]
@@ -164,10 +169,10 @@ class _Given:
         return _Components(found, np.array(log_mass))
 
     def highest_plateau(self, component: Quadratic, least: FloatArray) -> int:
-        """Return the parameter along which the density most exceeds a component; −1 if none has a plateau.
+        """Return the index of the parameter with the highest plateau of the density, or −1 if there is none.
 
-        Along a parameter, the others take their means given its value. Parameters whose standard deviation in the
-        component is below `least` (ndim,) are left out.
+        The density is compared with a component along each parameter, with the others at their means given its
+        value. A parameter whose standard deviation in the component is below `least` (ndim,) is left out.
         """
         covariance = np.linalg.inv(component.hessian)
         sd = np.sqrt(np.diag(covariance))

@@ -187,13 +187,13 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:
-    """Return quadratic models at the important maxima, in scaled coordinates, and their mixture weights.
+    """Return quadratic models at the important maxima, in scaled coordinates, their mixture weights, and a warp.
 
     Half of the weight is proportional to the posterior probabilities of the maxima, half is equal. A sampler then
     gets enough first candidates around each maximum to find its shape, and notices a probability that was
     estimated far too low. If `maxima` is None, the single component is at the typical point of a hierarchical
-    posterior. Where the quadratic models are poor because a discrepancy is inferred, the components lie along its
-    funnel. They are Gaussians in the coordinates of the returned warp, which is None otherwise.
+    posterior. If the quadratic models are poor because a discrepancy is inferred, the components lie along its
+    funnel instead. They are then Gaussians in the coordinates of the warp, which is None otherwise.
     """
     if maxima is None:
         return [middle(density)], np.ones(1), None
