@@ -177,7 +177,7 @@ class MeasurementTable(TomlTable):
         return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
-        """Return those of `keys` that are present in the table in the file."""
+        """Return the names in `keys` that are given in this table of the file."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property

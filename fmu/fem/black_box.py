@@ -83,7 +83,7 @@ class BlackBoxModel:
     solved : Solves
         Solves made in this process. The function is normally not called twice at the same theta.
     solves : SolveStore or None
-        Stored solves from this run and others; None without a store.
+        Stored solves from this run and others; None if there is no store.
     reasons : list of Failure
         The first twenty failures of the function.
 
@@ -154,7 +154,7 @@ class BlackBoxModel:
         return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
-        """Return the function's results at theta (n, n_parameters), or None where it fails; see `reasons`."""
+        """Return the function's results at theta (n, n_parameters), with None where it fails; see `reasons`."""
         return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
 
     @contextmanager

@@ -61,7 +61,7 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     Raises
     ------
     ValueError
-        If the file does not exist or lacks a node or a mode, or if a word is not a number.
+        If the file does not exist, lacks a node or a mode, or has a word where a number is expected.
     """
     text = _last_step(path)
     begins = [match.start() for match in _MODE.finditer(text)]

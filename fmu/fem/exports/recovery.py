@@ -130,12 +130,12 @@ class _Points:
     def find_fewest(
         self, known: Sequence[Powers], group: Sequence[int], entry: FloatArray
     ) -> tuple[_Fit | None, tuple[Powers, ...] | None]:
-        """Return the fit of the known terms plus the fewest new terms in a group that reproduces all exports.
+        """Return the fit that reproduces all exports with the fewest new terms in a group of parameters.
 
-        Also return the terms of the first fit that reproduces the exports used. Both are determined from a sample
-        of the entries (n_exports, n). Entries that these terms miss, such as the entry of a single spring in a
-        solid, are then added to the sample. The fit is None if no terms reproduce all exports, and the terms are
-        None if none reproduce the exports used.
+        The known terms are always included. Also return the terms of the first fit that reproduces the exports
+        used. Both are determined from a sample of the entries (n_exports, n). Entries that these terms do not
+        reproduce, such as the entry of a single spring in a solid, are then added to the sample. The fit is None
+        if no terms reproduce all exports. The terms are None if none reproduce the exports used.
         """
         some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
         while True:

@@ -55,7 +55,7 @@ class FRFCertificate:
     def worst(cls, certificates: Iterable[FRFCertificate]) -> FRFCertificate | None:
         """Combine the certificates of several tests at the same draws, taking the largest errors.
 
-        Returns None if there are no certificates.
+        Return None if there are no certificates.
         """
         every = list(certificates)
         if not every:

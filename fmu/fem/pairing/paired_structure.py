@@ -223,16 +223,16 @@ class PairedStructure(ModalModel):
         return found
 
     def solve(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return `modes`, without counting the solves or changing the number of threads."""
+        """Return the same as `modes`, without counting the solves or limiting the number of threads."""
         return self.pairing.solve(self.blocks, theta, gradient, self._observed)
 
     def see(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return `observed`, without counting the solves or changing the number of threads."""
+        """Return the same as `observed`, without counting the solves or limiting the number of threads."""
         located = self.pairing.locate(self.blocks, theta, gradient, self._observed)
         return predict_modes(self.blocks, located, self.rows, theta, gradient)
 
     def choose(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return `seen_candidates`, without counting the solves or changing the number of threads."""
+        """Return the same as `seen_candidates`, without counting the solves or limiting the number of threads."""
         assert self.rule.by_shape  # for the type checker
         return predict_candidates(self.blocks, self.rule, self._compared, self._at_sensors, theta, gradient)
 
@@ -269,7 +269,7 @@ class PairedStructure(ModalModel):
             return self.solve_sensitivities(theta, shapes)
 
     def solve_sensitivities(self, theta: FloatArray, shapes: bool) -> Sensitivities:
-        """Return `sensitivities`, without counting the solves or changing the number of threads."""
+        """Return the same as `sensitivities`, without counting the solves or limiting the number of threads."""
         located = self.pairing.locate(self.blocks, theta, True, self._observed)
         counts, sensors = self.pairing.counts(self.blocks), self.rows if shapes else None
         return StructureSensitivities(self.blocks, located, counts, theta, sensors)

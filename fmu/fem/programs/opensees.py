@@ -272,7 +272,7 @@ class ModesInOpenSees:
     sensors: tuple[Dof, ...] = ()
 
     def __call__(self, theta: FloatArray) -> dict[str, object]:
-        """Return a dict of frequencies in Hz, shape (m,), and shapes at the sensors, or None without sensors."""
+        """Return a dict of frequencies in Hz, shape (m,), and sensor shapes (None if there are no sensors)."""
         model = export_matrices(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))

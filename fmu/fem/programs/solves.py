@@ -53,8 +53,8 @@ class Solves:
         Whether `call` takes theta of shape (n_points, n_parameters).
     store : SolveStore, optional
         Store for solves that took `least_s` or longer per point. If two processes need the same points, only one
-        of them calls. Batches that share only some points may solve these twice; a lock for each point would need
-        as many open files.
+        of them calls the callable. Batches that share only some points may solve these twice, because one lock per
+        point would need too many open files.
     least_s : float
         Shortest time per point, in seconds, for which a solve is stored.
     retries : int

@@ -117,7 +117,7 @@ def add_set(found: Constraints, one: Keyword) -> None:
 
 
 def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
-    """Return the node ids that `word` stands for: a single id, or all nodes in the set of that name.
+    """Return the node ids given by `word`, which is a single id or the name of a node set.
 
     Raise RefusedError if there is no such set.
     """

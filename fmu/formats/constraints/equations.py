@@ -40,7 +40,9 @@ class Equation(NamedTuple):
 
 
 def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Equation:
-    """Solve Σ factor · u = 0 for the first degree of freedom; repeated degrees of freedom are combined.
+    """Solve Σ factor · u = 0 for the first degree of freedom.
+
+    The factors of a repeated degree of freedom are added.
 
     Raises
     ------

@@ -115,7 +115,7 @@ class FRFFormat:
 def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
     """Convert FRF numbers, counted from 1, to row indices.
 
-    Raises ModesError unless all numbers are between 1 and `n`.
+    Raise ModesError unless all numbers are between 1 and `n`.
     """
     wrong = [number for number in frfs if not 1 <= number <= n]
     if wrong or len(frfs) == 0:

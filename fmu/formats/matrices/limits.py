@@ -170,7 +170,7 @@ def check_indices(matrix: sp.sparray) -> None:
 
 
 def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
-    """Complete a symmetric matrix that stores only one entry of each symmetric pair.
+    """Return a symmetric matrix in full, given one that stores only one entry of each symmetric pair.
 
     Raises
     ------

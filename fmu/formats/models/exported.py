@@ -118,7 +118,7 @@ class ExportedModel:
     elements : tuple of tuple of int
         Node ids of each element: corners in order, then any midside nodes.
     kinds : tuple of str
-        Element kinds by meshio's names: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``,
+        meshio's name for each element's kind: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``,
         ``"hexahedron20"`` …
     notes : tuple of str
         One sentence for each omission or assumption.

@@ -60,12 +60,13 @@ def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = No
     path : Path
         ``job.dat``. If there are several steps, the last one is read.
     sensors : sequence of (node id, direction)
-        Directions are x, y and z, or -x, -y and -z. Without sensors, None is returned in place of the shapes.
+        Directions are x, y and z, or -x, -y and -z. The shapes are None if there are no sensors.
 
     Raises
     ------
     ValueError
-        If the file does not exist, has no eigenvalues or lacks a sensor in a mode, or if a word is not a number.
+        If the file does not exist, has no eigenvalues, lacks a sensor in a mode, or has a word where a number is
+        expected.
     """
     frequencies = read_frequencies(path)
     if not sensors:
