@@ -233,9 +233,10 @@ def recover(
     """Recover one matrix as a sum of terms; `changed` (n_parameters, n) marks what each parameter changes.
 
     Entries changed by the same parameters have the same terms. If two parameters change neighbouring elements, the
-    entries at their common nodes have the terms of both parameters. These terms are known by then. The two changes
-    may cancel in such an entry. So the entry is assumed to depend on every parameter that changes the diagonal
-    entries of both its row and its column, because changes never cancel on the diagonal.
+    entries at the common nodes have the terms of both parameters. These terms are already known, because entries
+    changed by fewer parameters are treated first. The two changes may cancel in such an entry. So the entry is
+    assumed to depend on every parameter that changes the diagonal entries of both its row and its column, where
+    nothing cancels.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))

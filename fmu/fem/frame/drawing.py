@@ -104,7 +104,10 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
 
 
 def drawing(model: SeparableModel, sensors: Sequence[Dof] = ()) -> str:
-    """Plot a structure with its sensors as SVG; see `draw_svg`. Raise ValueError if there is nothing to plot."""
+    """Return a plot of a structure with its sensors as SVG; see `draw_svg`.
+
+    Raise ValueError if there is nothing to plot.
+    """
     return draw_svg(sketch(model, sensors))
 
 
@@ -114,7 +117,7 @@ def draw_svg(
     said: str = "",
     spring_colours: Sequence[str] | None = None,
 ) -> str:
-    """Plot a sketch as SVG, with elements and springs in the colours of the parameters.
+    """Return a plot of a sketch as SVG, with elements and springs in the colours of the parameters.
 
     Each element or spring has the colour of the first parameter that changes it. Squares are supports, discs are
     masses, zigzags are springs (rings between coincident nodes) and arrows are sensors.
@@ -127,7 +130,7 @@ def draw_svg(
     said : str
         Description of the plot for readers who cannot see it.
     spring_colours : sequence of str, length n_parameters, optional
-        Spring colours by parameter, instead of the default colours.
+        Spring colours for each parameter, instead of the default colours.
 
     Returns
     -------

@@ -53,9 +53,10 @@ def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -
 
 
 def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return the modal assurance criterion between two sets of shapes (Allemang & Brown 1982).
+    """Return the modal assurance criterion (MAC) between two sets of shapes (Allemang & Brown 1982).
 
-    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. A shape that is zero there has MAC 0 with every shape.
+    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. If a shape is zero there, its MAC with every shape is
+    0.
 
     Parameters
     ----------

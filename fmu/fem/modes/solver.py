@@ -68,7 +68,7 @@ class Factor(Protocol):
 
 
 def sparse_solver() -> str:
-    """Return the name of the sparse solver: "PARDISO" if pypardiso is installed, otherwise "SuperLU"."""
+    """Return the name of the sparse solver in use: "PARDISO" if pypardiso is installed, otherwise "SuperLU"."""
     return PARDISO if find_spec("pypardiso") else SUPERLU
 
 

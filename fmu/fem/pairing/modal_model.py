@@ -68,11 +68,11 @@ class ModalModel:
     gives_shape_curvature : bool
         Whether `sensitivities` gives shapes and sums of their second derivatives.
     is_soft : bool
-        Whether every measured mode is paired with all candidates, by weights
+        Whether every measured mode is paired with all candidates, with weights
         (`fmu.fem.pairing.rules.SoftPairing`).
     is_uncertain : bool
-        Whether `observed` gives the variances of the model's own errors, as a surrogate does. If there are no
-        shapes, `observed` then gives frequencies only.
+        Whether `observed` gives the variances of the model's own errors, as a surrogate does. If so, and if there
+        are no shapes, `observed` gives frequencies only.
     by_shape : bool
         Whether modes are paired by MAC, not by number.
     solves_per_gradient, solves_per_shape_gradient : int

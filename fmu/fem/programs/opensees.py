@@ -79,14 +79,14 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     Returns
     -------
     ExportedModel
-        The model on the degrees of freedom that are neither fixed nor constrained to others. The displacements of
+        Its degrees of freedom are the ones that are neither fixed nor constrained to others. The displacements of
         constrained degrees of freedom are weighted sums of these.
 
     Raises
     ------
     ValueError
-        If openseespy is missing, `build` raises or makes no nodes, OpenSees cannot assemble the matrices, a node
-        has degrees of freedom without a name, or the stiffness is not symmetric or not finite.
+        If openseespy is missing, `build` raises an exception or creates no nodes, OpenSees cannot assemble the
+        matrices, a node has degrees of freedom without a name, or the stiffness is not symmetric or not finite.
     """
     ops = _openseespy()
     with _alone(ops):
@@ -281,7 +281,7 @@ class ModesInOpenSees:
 
 
 def _fixed_model(model: ExportedModel) -> SeparableModel:
-    """Convert the model exported at one theta to a model without parameters."""
+    """Return the model that was exported at one theta as a model without parameters."""
     return SeparableModel([Term(model.stiffness, ())], [Term(model.mass, ())], model.dofs, motions=model.motions)
 
 

@@ -49,7 +49,10 @@ class ProgramRun:
     store: SolveStore
 
     def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
-        """Return frequencies in Hz, and shapes, or None if there is no reader. Raise AnswerError on failure."""
+        """Return a dict of frequencies in Hz and shapes, or raise AnswerError if the run fails.
+
+        The shapes are None if there is no reader.
+        """
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)
         why = self.run.execute(dict(zip(self.names, theta.tolist(), strict=True)), folder)

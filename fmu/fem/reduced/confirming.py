@@ -110,7 +110,7 @@ class ConfirmedBlock(FullBlock):
         return found if self._is_complete else {}
 
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
-        """Return the initial data at theta (1, p), or None if the iterations cannot be started there."""
+        """Return the initial data at theta (1, p), or None if iterations cannot start there."""
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
         (best,), (alpha,) = self._anchors.nearest(theta, space)

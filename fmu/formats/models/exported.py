@@ -118,8 +118,8 @@ class ExportedModel:
     elements : tuple of tuple of int
         Node ids of each element: corners in order, then any midside nodes.
     kinds : tuple of str
-        meshio's name for each element's kind: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``,
-        ``"hexahedron20"`` …
+        meshio's name for each element's kind: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``,
+        ``"hexahedron"``, ``"hexahedron20"`` …
     notes : tuple of str
         One sentence for each omission or assumption.
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float

@@ -1,4 +1,4 @@
-"""Factorisation of definite matrices with a narrow band, with LAPACK."""
+"""LAPACK factorisation of definite matrices with a narrow band."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Factorisation with PARDISO in Intel's MKL (package pypardiso)."""
+"""PARDISO factorisation of sparse symmetric matrices, in Intel's MKL (package pypardiso)."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class _LargeFactorsError(Exception):
 
 
 def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFactor:
-    """Factorise a symmetric matrix, in single precision if the factors would take much of the memory."""
+    """Factorise a symmetric matrix. Single precision is used if the factors would take much of the memory."""
     try:
         return Pardiso(matrix, is_definite)
     except _LargeFactorsError:
