@@ -63,7 +63,7 @@ class ConfigurationError(ValueError):
 
     @property
     def headline(self) -> str:
-        """File name and number of errors, as a phrase."""
+        """Phrase with the file name and the number of errors."""
         n = len(self.mistakes)
         return f"{self.source}: {n} error{'s' if n > 1 else ''}"
 

@@ -160,7 +160,7 @@ class TomlTable(BaseModel):
 
 
 class Declared(TomlTable):
-    """A table whose keys are the arguments of one or several alternative constructors; see `declare_table`."""
+    """A table whose keys are the arguments of a constructor, or of one of several; see `declare_table`."""
 
     model_config = ConfigDict(use_attribute_docstrings=False)  # classes made at run time have no source
     makes: ClassVar[tuple[Maker, ...]] = ()

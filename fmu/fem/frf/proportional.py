@@ -37,9 +37,9 @@ class Source(NamedTuple):
     Attributes
     ----------
     value : float
-        The constant, if there is no parameter.
+        The constant; ignored if the coefficient is a parameter.
     column : int or None
-        Index of the parameter among the damping parameters.
+        Index of the parameter among the damping parameters, or None if the coefficient is a constant.
     """
 
     value: float

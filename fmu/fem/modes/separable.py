@@ -1,7 +1,7 @@
 """Structures of the form K(theta) = Σ c_k(theta) K_k, M(theta) = Σ c_m(theta) M_m.
 
-Every structure given by beam elements or by exported matrices has this form; the coefficients are constants or
-monomials of the parameters, so that derivatives are exact.
+Every structure given by beam elements or by exported matrices has this form. The coefficients are constants or
+monomials of the parameters, so their derivatives are exact.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class PairedStructure(ModalModel):
         counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
     ) -> PairedStructure:
-        """Pair a model with a measurement; reference modes are computed if the pairing needs them.
+        """Return a model paired with a measurement. Reference modes are computed if the pairing needs them.
 
         Parameters
         ----------

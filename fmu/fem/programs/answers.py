@@ -72,7 +72,7 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
 
 
 def _parts(given: object) -> list[Any]:
-    """Return the frequencies, shapes and gradient as a list, with None for a missing array."""
+    """Return the frequencies, shapes and gradient as a list, with None for each missing array."""
     by_name = mapping_in(given)
     if by_name is not None:
         unknown = [key for key in by_name if key not in _PARTS]

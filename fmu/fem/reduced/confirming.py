@@ -130,7 +130,7 @@ def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArr
 
 
 def confirm_blocks(bound: FrequencyBound) -> tuple[FullBlock, ...]:
-    """Return the full blocks behind a bound, with `ConfirmedBlock` in place of large blocks that were reduced."""
+    """Return the full blocks behind a bound. Large blocks that were reduced are replaced by a `ConfirmedBlock`."""
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:

@@ -219,7 +219,7 @@ class ReducedStructure(Approximation):
         return self._truth.configuration()
 
     def _solve(self, theta: FloatArray, gradient: bool) -> ModalSolution:
-        """Solve the reduced model for a few theta at a time, to limit memory use, and return its modes."""
+        """Return the reduced model's modes. Only a few theta are solved at a time, to limit memory use."""
         if len(theta) <= self._at_once:
             return self.cheap.solve(theta, gradient)
         starts = range(0, len(theta), self._at_once)

@@ -240,7 +240,7 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
 
 
 def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
-    """Solve the slow model at theta (n, n_parameters), and return the design, with shapes if `with_shapes`."""
+    """Return a design: the slow model's modes at theta (n, n_parameters), with shapes if `with_shapes`."""
     if with_shapes:
         seen = truth.observed(theta)
         return Design(theta, seen.frequencies, seen.shapes)

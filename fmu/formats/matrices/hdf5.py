@@ -71,7 +71,7 @@ def read(path: Path, variable: str | None) -> Labelled:
 
 
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
-    """Yield the path and object of each group and dataset, but no links and no components of sparse matrices."""
+    """Yield the path and object of each group and dataset. Links and components of sparse matrices are skipped."""
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):
         if not ahead:

@@ -89,7 +89,10 @@ def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
 def _read_printed(
     file: Path, sensors: Sensors, deck: Path | None
 ) -> tuple[FloatArray, FloatArray | None, list[int]]:
-    """Return the frequencies in Hz, the shapes (None without sensors) and the mode numbers; see `read_f06`."""
+    """Return the frequencies in Hz, the shapes and the mode numbers; see `read_f06`.
+
+    The shapes are None if there are no sensors.
+    """
     path = checked_file(file)
     if path.suffix.lower() in (".op2", ".xdb"):
         rule = "must be the printed output, .f06: DISP(PRINT) = ALL in the case control prints the modes"
@@ -123,7 +126,7 @@ def _read_printed(
 
 @dataclass
 class _Found:
-    """Frequencies in Hz by mode, nodal components (6,) by mode and node, and the first fatal message in a file."""
+    """Frequencies in Hz keyed by mode, nodal components (6,) keyed by mode and node, and the fatal message."""
 
     frequencies: dict[int, float] = field(default_factory=dict)
     shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)

@@ -150,7 +150,7 @@ def read_pyoma(
     modes: Sequence[ModeNumber] | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Read the modes in a pyOMA_2 result that `save_pyoma` wrote; its channels are the ``sensors``.
+    """Read the modes in a pyOMA_2 result that `save_pyoma` wrote, with one of ``sensors`` for each channel.
 
     Parameters
     ----------
