@@ -40,15 +40,16 @@ class UpdatingProblem(Posterior):
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure, a user's function, or any map from theta to the frequencies of the measured modes. With
-        several tests (`fmu.JointProblem`) it maps the parameters in all tests to the modes measured in all tests.
+        The structure, a user's function, or any map from theta to the frequencies of the measured modes. If there
+        are several tests (`fmu.JointProblem`), it maps the parameters in all tests to the modes measured in all
+        tests.
     data : ModalData
     parameters : sequence of Parameter
-        Parameters of the model. theta has those that are updated, in this order, followed by the standard
-        deviations that `error` infers.
+        Parameters of the model. theta consists of the updated parameters, in this order, followed by the
+        inferred standard deviations of `error`.
     pairing : {"shape", "index", "soft"}
         How the modes of a SeparableModel are paired with the measured modes (`fmu.fem.pairing.rules`).
-        ``"shape"``: by MAC with the measured shapes or, without them, with the model's modes before updating.
+        ``"shape"``: by MAC with the measured shapes or, if there are none, with the model's modes before updating.
         ``"index"``: by number in the sorted spectrum. ``"soft"``: each measured mode is compared with all
         candidate modes, with weights exp(MAC/τ), so that the log-probability does not jump where modes veer; see
         `fmu.posterior.errors.mixture` for the limits of this pairing.
@@ -204,7 +205,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
-        """Return the same problem updated with the named modes only. It shares the model, also if it is reduced.
+        """Return the same problem updated with the named modes only. It shares any reduced model.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ def read_frf(
         Points of the FRFs, in file order; needed if the file does not name them.
     nodes : mapping of node number to place, optional
         For universal files: maps node numbers in the file to model nodes or their names; FRFs at other nodes are
-        skipped. By default, the model's nodes have the same numbers as those in the file.
+        skipped. By default, the model's nodes have the same numbers as the nodes in the file.
     variables : mapping of str to str, optional
         For arrays: the name in the file of ``frequencies_hz``, ``values``, ``coherence``, ``sd``, ``averages``,
         ``kind``, ``drives`` or ``responses``, if it differs; ``"test.H"`` is the field H of a structure.

@@ -41,9 +41,9 @@ class MACErrors:
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     together : sequence of sequence of str
-        Groups of mode labels. The frequencies in a group are too close for the shapes to be distinct, such as the
-        pairs of a nearly symmetric structure. Each mode is compared with the subspace spanned by its group's
-        computed modes, which does not depend on how the shapes are rotated within it (`in_span`).
+        Groups of mode labels. The modes in a group have frequencies too close for their shapes to be distinct,
+        such as the mode pairs of a nearly symmetric structure. Each mode is compared with the subspace spanned by
+        its group's computed modes, which does not depend on how the shapes are rotated within it (`in_span`).
     """
 
     sd: ArrayLike | Parameter

@@ -30,8 +30,7 @@ class ModalDamping:
     ----------
     ratios : float, Parameter, or sequence of float or Parameter
         Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last ratio
-        applies to all higher modes too. The modes are those of the structure's parts that have drives and
-        responses.
+        applies to all higher modes too. Only parts of the structure with drives and responses are counted.
     """
 
     ratios: NotNegative | Parameter | Sequence[NotNegative | Parameter]

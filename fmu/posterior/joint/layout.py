@@ -99,8 +99,8 @@ class Layout:
     def of_model(self, theta: FloatArray) -> FloatArray:
         """Return the arguments of `ModelInTests` followed by the inferred error sds, at theta (n, ndim).
 
-        The model's arguments are the structural parameters in the first test, then those in the second test, and
-        so on (`fmu.posterior.joint.model_in_tests.ModelInTests`).
+        The model's arguments are the structural parameters in all tests, one test after the other
+        (`fmu.posterior.joint.model_in_tests.ModelInTests`).
         """
         if self.is_identity:
             return theta

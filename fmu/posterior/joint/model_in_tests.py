@@ -89,7 +89,8 @@ class ModelInTests(ModalModel):
     Attributes
     ----------
     n_parameters : int
-        The product n_tests P. The parameters in the first test come first, then those in the second test, etc.
+        The product n_tests P. The parameters in the first test come first, then the parameters in the second
+        test, and so on.
     """
 
     name = "ModelInTests"

@@ -23,7 +23,7 @@ from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
-    """Error models for several tests, sorted into those for modes and those for other measured quantities.
+    """Error models for several tests, sorted into models for modes and models for other quantities.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Errors(NamedTuple):
 
     @classmethod
     def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
-        """Sort the user's error models into those for modes and those for other quantities."""
+        """Sort the user's error models into models for modes and models for other quantities."""
         given: Any = as_list(error)
         quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
         if not quantities:

@@ -34,8 +34,8 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
     where the populations are far too wide or too narrow. At the typical point, the populations' means, standard
     deviations and correlations approximately maximise the posterior after each test's own values are integrated
     out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39,
-    1–38). All other parameters have their most probable values given these. A discrepancy of the model is left
-    out, and the sizes of its errors are those at which the problem starts.
+    1–38). All other parameters have their most probable values given these. A model discrepancy
+    is left out, and its standard deviations keep their starting values.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def reduced_model(
       `LOOSEST_LOG_PROB`.
     - The full model, which is returned with None for the tolerance.
 
-    A model that is not given by its matrices is returned unchanged, with None. An engine solves the full model at
+    A model without matrices is returned unchanged, with None. An engine solves the full model at
     several points at once, and computes the residuals of large structures. Comparisons with the full model count
     against a budget (`fmu.fem.reduced.training.BUDGET`).
 
@@ -82,7 +82,8 @@ def reduced_model(
     Warns
     -----
     ReductionWarning
-        If training ended before the tolerances were met, also if the model is read from the cache.
+        If training ended before the tolerances were met. The warning is repeated if the model is read from
+        the cache.
     """
     structure = structure_of(problem.model)
     if structure is None:

@@ -188,8 +188,8 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     """Plot each measured frequency with its posterior predictive distribution (eq. 10 in the paper).
 
-    For repeated tests, this is the distribution of the mean of the tests. The single tests are shown beside the
-    predictive interval for one more test.
+    For repeated tests, this is the distribution of the mean of the tests. The single tests and the predictive
+    interval for one more test are shown too.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ class DateOfEvent:
         theta : ndarray, shape (n, ndim)
             A copy with the proposed date and losses.
         log_ratio : ndarray, shape (n,)
-            Proposal log-density of the old values minus that of the new ones.
+            Proposal log-density of the old values minus the proposal log-density of the new values.
         """
         known, rows, found = self._given_date(given, theta, scales), np.arange(len(theta)), theta.copy()
         at = np.argmax(known.weight + rng.gumbel(size=known.weight.shape), axis=1)

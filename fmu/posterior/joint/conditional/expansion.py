@@ -44,7 +44,7 @@ class Expansion(NamedTuple):
     test_of_modes : ndarray of int, shape (n_modes,)
         Index of the test that measured each mode.
     errors : ExpandedErrors, optional
-        The model errors, where these are parameters. Then `slope` and `information` are those of all other data.
+        The model errors, if they are parameters. `slope` and `information` then include only the other data.
     """
 
     values: FloatArray

@@ -25,7 +25,7 @@ class Taken(InTests):
     columns : ndarray of int, shape (n_tests,)
         For each test, the index of the value in theta.
     own : Parameter or None
-        The parameter from whose prior the value in a further test is drawn, if each test has its own value. None
+        The parameter if each test has its own value; the value in a further test is drawn from its prior. None
         if tests share values.
     """
 
