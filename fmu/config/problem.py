@@ -343,7 +343,7 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Build the measured data. If `beta` is given, leave out their uncertainty, which it replaces."""
+        """Build the measured data, without their uncertainty if `beta` replaces it."""
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number
             try:

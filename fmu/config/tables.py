@@ -171,7 +171,7 @@ class Declared(TomlTable):
 
     @property
     def called(self) -> str:
-        """Kind of the table, which is the value of the key `tag`."""
+        """Kind of the table: the value of the key `tag`."""
         return str(dict(self)[self.tag])
 
     def given_arguments(self) -> dict[str, object]:

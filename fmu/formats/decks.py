@@ -60,7 +60,7 @@ def write_deck(path: Path, text: str) -> None:
 
 
 def placeholders(text: str) -> set[str]:
-    """Return the names in braces in a deck, which may be placeholders."""
+    """Return the names in braces in a deck. They may be placeholders."""
     return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
 
 

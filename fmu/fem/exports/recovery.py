@@ -1,4 +1,4 @@
-"""Recovery of the powers of the parameters from the entries of exported matrices."""
+"""Determination of the parameters' powers in each matrix term from the entries of exported matrices."""
 
 from __future__ import annotations
 

@@ -253,11 +253,11 @@ class SeparableModel:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, ...]:
-        """Degrees of freedom in each decoupled block of the structure: one array of ascending indices per block.
+        """Degrees of freedom in each decoupled block: one array of ascending indices per block.
 
         The blocks are the connected components of the graph of nonzeros in Σ |K_k| + Σ |M_m|, so that the
-        eigenproblem splits exactly. Entries that are nonzero only by rounding (as in a rotated element) do not
-        connect degrees of freedom.
+        eigenproblem splits exactly. Entries that are nonzero only because of rounding (as in a rotated element) do
+        not connect degrees of freedom.
         """
         rows, columns = [], []
         for term in (*self.K_terms, *self.M_terms):

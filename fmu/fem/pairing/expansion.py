@@ -1,9 +1,9 @@
-"""Expansion of measured shapes to all degrees of freedom of a model, for plots.
+"""Expansion of measured shapes to all of a model's degrees of freedom, for plots.
 
 SEREP, the default, fits the model's modes to the measured shapes. It averages out noise at single sensors, works
 with any sensors that can tell the modes apart, and its residual shows how far to trust the plot. Dynamic expansion
 reproduces the measured values exactly and computes the other degrees of freedom from the model's inertia and
-stiffness. Noise remains as kinks at the sensors, and the expanded shape is unbounded if a measured frequency is a
+stiffness. Noise remains as kinks at the sensors. The expanded shape is unbounded if a measured frequency is a
 natural frequency of the model with its sensors fixed.
 """
 

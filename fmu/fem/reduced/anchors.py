@@ -150,7 +150,7 @@ class Anchors:
 
     @cached_property
     def first(self) -> Matrix:
-        """Matrix K + s M at the first anchor point, which defines the inner product used in training."""
+        """Matrix K + s M at the first anchor point. It defines the inner product used in training."""
         return self.matrix(0)
 
     def factor(self, a: int) -> Factor:

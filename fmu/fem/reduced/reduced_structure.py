@@ -1,4 +1,4 @@
-"""Structures whose modes are computed in a reduced basis within a parameter box, with an error bound."""
+"""Structures whose modes are computed in a reduced basis within a parameter box, with bounds on their errors."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class ReducedStructure(Approximation):
         return self._truth
 
     def coarser(self, share: float) -> Self:
-        """Return a model with only the leading vectors of each basis, which represent most of each mode.
+        """Return a model with only the leading vectors of each basis. These represent most of each mode.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ class Feasibility:
         return self.margin(x) > -EDGE
 
     def margin(self, x: FloatArray) -> FloatArray:
-        """Return the classification margin (n,) of points x (n, d), which is infinite if no solve has failed.
+        """Return the classification margin (n,) of points x (n, d). It is infinite if no solve has failed.
 
         It is 1 at the solved points nearest to the boundary, and −1 at the nearest failures.
         """

@@ -169,7 +169,7 @@ def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return error messages for a dataset with malformed content, which pyuff does not check."""
+    """Return error messages for malformed content in a dataset. pyuff does not check the content."""
     if one["type"] in SYSTEMS:
         kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
         return (

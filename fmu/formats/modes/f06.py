@@ -126,7 +126,7 @@ def _read_printed(
 
 @dataclass
 class _Found:
-    """Frequencies in Hz keyed by mode, nodal components (6,) keyed by mode and node, and the fatal message."""
+    """Frequencies in Hz keyed by mode, components (6,) keyed by mode and node, and any fatal message in a file."""
 
     frequencies: dict[int, float] = field(default_factory=dict)
     shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)

@@ -344,7 +344,7 @@ def read_datasets(
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return error messages for a dataset with malformed content, which pyuff does not check."""
+    """Return error messages for malformed content in a dataset. pyuff does not check the content."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"
