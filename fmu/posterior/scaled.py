@@ -60,7 +60,7 @@ class ScaledDensity:
         self.upper = self.to_scaled(self.theta_upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return the scaled coordinates u of theta, with the same shape (..., ndim)."""
+        """Return the scaled coordinates u for theta; both have the shape (..., ndim)."""
         return (theta - self.offset) / self.scale
 
     def to_theta(self, u: FloatArray) -> FloatArray:
@@ -116,7 +116,7 @@ class LogScaledDensity(ScaledDensity):
         self.upper = np.where(self.is_log, np.minimum(self.upper, FARTHEST), self.upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return the scaled coordinates u of theta, with the same shape (..., ndim)."""
+        """Return the scaled coordinates u for theta; both have the shape (..., ndim)."""
         with np.errstate(divide="ignore"):  # at the bound 0
             logs = (np.log(np.where(self.is_log, theta, 1.0)) - self._mean) / self._sd
         return np.where(self.is_log, logs, super().to_scaled(theta))

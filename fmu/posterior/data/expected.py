@@ -1,4 +1,4 @@
-"""Predict modes with a model, to use them in place of measured ones while a test is planned."""
+"""Predict a model's modes, which replace measured modes while a test is planned."""
 
 from __future__ import annotations
 

@@ -329,7 +329,7 @@ class FRFData:
         return replace(self, use=self._chosen & ~left_out, band=None)
 
     def as_receptance(self) -> Receptance:
-        """Return the receptances, H/(iω)^k with k = 1 for mobilities and 2 for accelerances, and their sd."""
+        """Return the receptances H/(iω)^k, where k is `power`, and their standard deviations."""
         omega = 2.0 * np.pi * np.asarray(self.frequencies_hz)
         values = np.asarray(self.values) / (1j * omega) ** self.power
         return Receptance(values, None if self._sd is None else self._sd / omega**self.power)

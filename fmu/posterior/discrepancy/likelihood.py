@@ -1,4 +1,4 @@
-"""Likelihood with model discrepancy. A mode has the same discrepancy in all of its data."""
+"""Likelihood with model discrepancy, which is the same for all data on a mode."""
 
 from __future__ import annotations
 

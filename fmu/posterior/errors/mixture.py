@@ -187,7 +187,7 @@ class MixtureLikelihood(ModalLikelihood):
 
 
 def _best(score: FloatArray) -> IntArray:
-    """Return the index (n, m) of the highest-scoring candidate for each measured mode; `score` is (n, k, m)."""
+    """Return the index (n, m) of each measured mode's candidate with the highest `score` (n, k, m)."""
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 

@@ -142,7 +142,7 @@ class FRFTerm:
         return self._evaluate(theta, gradient=True)
 
     def with_use(self, use: BoolArray) -> FRFTerm:
-        """Return the same term with other measured values selected by the mask `use`, (n_frfs, n_lines)."""
+        """Return the same term, but with the measured values that are True in `use`, (n_frfs, n_lines)."""
         data, own = replace(self.data, use=use, band=None), (self._is_log, self._model_sd, self._settings)
         return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 

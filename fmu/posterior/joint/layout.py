@@ -244,9 +244,9 @@ class Layout:
         scores : ndarray, shape (n, n_populations)
             The further test's scores, drawn by `draw_scores`.
         like : int
-            Index of the test whose group the further test belongs to.
+            Index of an existing test. The further test belongs to the same group.
         covariates : mapping of str to float
-            Values of the covariates. Covariates without an entry have their means over the tests.
+            Values of the covariates. A covariate without an entry is set to its mean over the tests.
         """
         future = Future(rng, {one.centre: z for one, z in zip(self.drawn, scores.T, strict=True)}, covariates)
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)

@@ -78,7 +78,7 @@ def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -
 
 
 def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return standard deviations as an array (n_frfs, n_lines), NaN where unknown.
+    """Return standard deviations as an array (n_frfs, n_lines). Unknown standard deviations are NaN.
 
     Raise ValueError if one is negative or infinite, or none is positive.
     """
