@@ -62,8 +62,8 @@ class FreeMotions:
 def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
     """Return the strain-free motions at theta (n_parameters,), usually the starting point.
 
-    The motions are computed block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and
-    radians, and stiff and soft parts, count equally.
+    The motions are computed block by block, as eigenvectors of K scaled to a unit diagonal. Metres and radians,
+    and stiff and soft parts, thus count equally.
 
     Raises
     ------

@@ -102,7 +102,7 @@ def eigen(
     ValueError
         If the structure has fewer than `count` degrees of freedom.
     SingularMassError
-        If the structure has fewer modes of finite frequency, M is negative for some motion, a motion has neither
+        If fewer than `count` modes have a finite frequency, M is negative for some motion, a motion has neither
         stiffness nor mass, or the solver fails.
     """
     n = K.shape[0]

@@ -88,9 +88,8 @@ class MassMoments:
 class StaticDisplacement:
     """Displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
 
-    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. Since the basis contains the primal and the dual
-    solution, the error of u is the product of the errors of these two solutions (Quarteroni, Manzoni & Negri 2016,
-    chapter 3).
+    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. The basis contains the primal and the dual solution,
+    so the error of u is the product of their errors (Quarteroni, Manzoni & Negri 2016, chapter 3).
 
     Parameters
     ----------

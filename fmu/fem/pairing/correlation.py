@@ -94,9 +94,9 @@ def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return cos² of the principal angles between the subspaces that two sets of shapes span, largest first.
 
-    The smallest value is 1 if every measured shape is a combination of the computed shapes, as for close modes
-    that differ only by a rotation among themselves (Björck & Golub 1973). For two single shapes the value is their
-    MAC.
+    The smallest value is 1 if every measured shape is a combination of the computed shapes (Björck & Golub 1973).
+    This is so for close modes that differ only by a rotation among themselves. For two single shapes the value is
+    their MAC.
 
     Parameters
     ----------

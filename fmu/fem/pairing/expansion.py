@@ -33,8 +33,8 @@ class Expanded:
     shapes : ndarray, shape (n_dof, n_modes)
         Expanded shapes, in the scale of the measured shapes.
     kept : ndarray, shape (n_modes,)
-        Share of each measured shape's sum of squares that the expanded shape reproduces at the sensors; 1 if the
-        two shapes are equal there.
+        Share of each measured shape's sum of squares that the expanded shape reproduces at the sensors. It is 1 if
+        the two shapes are equal there.
     """
 
     shapes: FloatArray

@@ -60,8 +60,8 @@ class Solves:
     retries : int
         How often a failed call is repeated.
     loading_s : float
-        If the first call takes less time than this, in seconds, it may consist mostly of imports: another is
-        timed.
+        If the first call takes less time than this, in seconds, it may consist mostly of imports. A second call is
+        then timed.
     lasting : type
         Exceptions, besides AnswerError, that would occur again in a repeated call. Only these failures are stored.
     is_outdated : callable, optional

@@ -293,8 +293,8 @@ def train(
         Maps the current reduced model to fresh points (n, n_parameters) in the part of the box that matters. If a
         basis for the whole box would not pay, `tolerance` applies in that part only, and 1e-3 elsewhere.
     wider_box : callable, optional
-        Maps the reduced model to the bounds of a larger box if much of the region that matters lies outside the
-        present one; returns None otherwise.
+        Maps the reduced model to the bounds of a larger box. Returns None unless much of the region that matters
+        lies outside the present box.
 
     Returns
     -------

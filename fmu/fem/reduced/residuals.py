@@ -11,14 +11,14 @@ up to terms of second order in G. For a single mode far from all other modes, th
 ‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465,
 with β of the next mode). The matrix bound also holds for close and repeated modes.
 
-Proven, for positive semidefinite terms: A ≥ α Ā at an anchor point (`fmu.fem.reduced.anchors`), so that the form
-r_iᵀ A⁻¹ r_j is at most r_iᵀ Ā⁻¹ r_j / α. Estimated: the spectrum of σ T on the complement. The direction of the
-error is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient
-wᵀ M w / (α wᵀ Ā w), times σ, is the mean x < 1 of that spectrum. Its upper end b is taken as the larger of √x and
-σ_i/σ_j. Here j is the lowest mode that the trial vectors do not represent, estimated from the modes at the anchor
-points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
-(Edmundson and Madansky). If a needed mode were missing from the space, no residual would show it; therefore
-training counts the modes at some points by Sylvester's law of inertia.
+If all terms are positive semidefinite, it is proven that A ≥ α Ā for an anchor point (`fmu.fem.reduced.anchors`).
+The form r_iᵀ A⁻¹ r_j is then at most r_iᵀ Ā⁻¹ r_j / α. The spectrum of σ T on the complement is estimated. The
+direction of the error is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its
+Rayleigh quotient wᵀ M w / (α wᵀ Ā w), times σ, is the mean x < 1 of that spectrum. Its upper end b is taken as the
+larger of √x and σ_i/σ_j. Here j is the lowest mode that the trial vectors do not represent, estimated from the
+modes at the anchor points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at
+most 1 + x/(1 − b) (Edmundson and Madansky). If a needed mode were missing from the space, no residual would show
+it. Training therefore counts the modes at some points by Sylvester's law of inertia.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ class Feasibility:
     def __call__(self, x: FloatArray) -> BoolArray:
         """Return a mask (n,) that is False for points x (n, d) with a margin of −`EDGE` or less.
 
-        Undecided points count as feasible: a wrong classification is discovered when the point is solved, whereas
-        a point that was wrongly classified as infeasible would never be solved.
+        Undecided points count as feasible. If that is wrong, solving the point shows it, whereas a point wrongly
+        classified as infeasible would never be solved.
         """
         return self.margin(x) > -EDGE
 

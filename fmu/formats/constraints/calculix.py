@@ -1,9 +1,9 @@
 """Constraints in CalculiX and Abaqus input decks: *EQUATION, *BOUNDARY and *TRANSFORM.
 
 CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes. If
-*TRANSFORM rotates a node's axes, CalculiX chooses which degree of freedom an equation makes dependent: the global
-direction with the same number, or the next one along which the local axis has a component. CalculiX, *User's
-manual*. `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
+*TRANSFORM rotates a node's axes, CalculiX chooses the degree of freedom that an equation makes dependent. It is in
+the global direction with the same number, or in the next one along which the local axis has a component. CalculiX,
+*User's manual*. `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
 """
 
 from __future__ import annotations
