@@ -111,7 +111,7 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
 
 
 def _panel(axes: Axes) -> dict[str, object]:
-    """Return a panel's position, its title and both axes as a dict."""
+    """Return a dict of a panel's position, its title and both its axes."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")

@@ -41,7 +41,7 @@ _SCRIPTS = ("data.js", "structure.js", "figures.js", "pairs.js", "tables.js", "s
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the file name of each run's page, valid in file systems and URLs, keyed by run name.
+    """Return the file name of each run's page, keyed by run name. It is valid in file systems and URLs.
 
     If there is only one run, its page is ``index.html``.
     """

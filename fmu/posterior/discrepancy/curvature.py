@@ -27,7 +27,7 @@ def by_second_derivatives(
 ) -> FloatArray:
     """Differentiate a function of the residuals' slopes with respect to the parameters; return shape (n, m, p).
 
-    Each mode needs one weighted sum of second derivatives, which `exact` computes.
+    For each mode, `exact` computes the one weighted sum of second derivatives that is needed.
 
     Parameters
     ----------

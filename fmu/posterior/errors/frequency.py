@@ -237,7 +237,7 @@ class FrequencyTerm(ErrorTerm):
         return FrequencyTerm(self.kind, self.measured, inferred).simulate(rng, frequencies, noise)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the residuals' names, mode by mode."""
+        """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
@@ -374,7 +374,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the residuals' names, mode by mode."""
+        """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:

@@ -115,7 +115,7 @@ class MACTerm(ErrorTerm):
         return Residuals((error / sd)[..., None], None, np.swapaxes(slope / sd[:, None], 1, 2)[:, :, None])
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the residuals' names, mode by mode."""
+        """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""
         return [f"{mode}, MAC" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:

@@ -192,7 +192,7 @@ def _best(score: FloatArray) -> IntArray:
 
 
 def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
-    """Return the prediction, with derivatives, from candidate `best` (n, m) for each measured mode."""
+    """Return a prediction that consists of candidate `best` (n, m) for each measured mode, with derivatives."""
     of: Any = candidates
     return ModalPrediction(
         np.take_along_axis(of.frequencies, best, axis=1),

@@ -165,7 +165,7 @@ class ShapeTerm(ErrorTerm):
         return None, np.swapaxes(left, 1, 2), direct
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the residuals' names, mode by mode."""
+        """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:

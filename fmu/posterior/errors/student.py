@@ -98,7 +98,10 @@ class StudentTerm(FrequencyTerm):
         return False
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Convert errors divided by their scales to normal scores, Φ⁻¹ of Student's distribution function."""
+        """Convert errors divided by their scales to normal scores.
+
+        The scores are Φ⁻¹(F(z)), where F is Student's distribution function.
+        """
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:

@@ -262,7 +262,7 @@ class ScatteredTerm(FRFTerm):
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
         """Return the FRFs, (n, n_frfs, n_lines), at the lines that the term `every` uses.
 
-        Their residues are drawn given this term's data.
+        The residue errors are drawn given this term's data.
         """
         assert isinstance(every, ScatteredTerm)
         epsilon, there = self._draw(self._at(theta), rng), every._at(theta)
@@ -274,7 +274,7 @@ class ScatteredTerm(FRFTerm):
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return each FRF's sum of squared residuals over its used lines, (n, n_frfs).
 
-        Its residue errors are drawn given the data.
+        The residue errors are drawn given the data.
         """
         at = self._at(theta)
         epsilon = self._draw(at, rng)

@@ -85,7 +85,7 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, of_model: int, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return the list of configurations, each with its trained model, and the tolerance for the reduced model.
+    """Return the configurations, each with its trained model, as a list, and the reduced model's tolerance.
 
     The first `of_model` structural parameters are parameters of the model.
     """

@@ -133,7 +133,7 @@ class Correlation:
         return [(here, tests) for here, tests in found if len(here) > 1]
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, list[Any]]:
-        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and all of its `_blocks`."""
+        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and the list of `_blocks`."""
         rho = theta[:, self.columns]
         if not np.array_equal(self._last.get("rho", ()), rho):
             L, slopes = self._factors(rho)

@@ -98,7 +98,10 @@ def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
 
 
 def _cost(found: Compared) -> Verdict:
-    """Return the verdict on how many model solves each sampler needed to meet the criterion, cheapest first."""
+    """Return the verdict on how many model solves each sampler needed to meet the criterion.
+
+    The sampler that needed the fewest solves comes first.
+    """
     costs = found.costs.sort_values("criterion_solves")
     met = [(str(name), float(x)) for name, x in costs["criterion_solves"].items() if not np.isnan(x)]
     question = "What did they cost?"

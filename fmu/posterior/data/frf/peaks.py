@@ -50,7 +50,7 @@ class Receptance(NamedTuple):
 
 
 class Spectra(NamedTuple):
-    """The properties of measured FRFs that the search for resonances and the warnings need.
+    """Properties of measured FRFs that are needed to find resonances and to decide on warnings.
 
     Attributes
     ----------

@@ -97,7 +97,7 @@ class PopulationsGivenValues:
         self._of_partial = 0.5 * (p + 1) - 0.5 * (p - 2 - before)
 
     def propose(self, rng: np.random.Generator, theta: FloatArray) -> Candidates:
-        """Draw candidates for the populations of the chains at theta, shape (n, ndim)."""
+        """Draw candidate populations for the chains at theta, shape (n, ndim)."""
         c, s = theta[:, self._centres], theta[:, self._widths]
         z = np.where(self._scored, theta[:, self._scores], 0.0)
         n, p, count = len(theta), c.shape[2], self._count[:, None]

@@ -71,7 +71,7 @@ class Nested(Multiplied):
         return cls(of, width, np.array([numbers.get(test.group, first) for test in theta.tests]), of_logarithm)
 
     def factor(self, theta: FloatArray) -> Factor:
-        """Return the factor of each test's group on the value, at theta (n, n_parameters)."""
+        """Return the factor by which each test's group effect multiplies the value, at theta (n, n_parameters)."""
         s, u = theta[:, [self.width]], theta[:, self.columns]
         factor, by_effect = self._of_effect(s * u)
         by_width = Slope(np.full_like(self.columns, self.width), by_effect * u)

@@ -77,7 +77,7 @@ class Population(Varies):
 
     @property
     def population(self) -> Population:
-        """The population itself."""
+        """The population itself, because the values are drawn from it."""
         return self
 
     @property

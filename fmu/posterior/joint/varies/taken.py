@@ -1,4 +1,4 @@
-"""Structural parameters whose values are themselves parameters of theta, or are not inferred."""
+"""Structural parameters that are themselves parameters of theta, or that are not inferred."""
 
 from __future__ import annotations
 
