@@ -39,9 +39,7 @@ class Metric:
 
     @classmethod
     def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
-        """Return the metric for an inverse mass matrix.
-
-        `inverse_mass` is None for the identity matrix, or a vector for a diagonal matrix.
+        """Return the metric for an inverse mass matrix: a matrix, a vector (diagonal), or None (identity matrix).
 
         Raises
         ------
@@ -159,10 +157,7 @@ class CentralDifference(WithGradient):
         self.delta, self.h = delta, h
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Return gradients at `position` (n, ndim), and log-densities if required, from one batch of points.
-
-        `chain` is ignored, because all chains have the same density.
-        """
+        """Return gradients and, if required, log-densities at `position` (n, ndim); `chain` has no effect."""
         n, ndim = position.shape
         ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
         points = [ends.reshape(-1, ndim)]
@@ -318,10 +313,7 @@ class HamiltonianKernel(LocalKernel):
         return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for the chains of all `kernels`.
-
-        Each chain keeps its metric and step size. The number of steps is the median over the kernels.
-        """
+        """Return one kernel for all chains, with their metrics and step sizes and the median number of steps."""
         inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
         return replace(
             self,
@@ -339,14 +331,8 @@ class HamiltonianKernel(LocalKernel):
         """Take `n_steps` leapfrog steps from `state`, all chains in lockstep, with reflection at the bounds.
 
         A trajectory is abandoned if it reaches the limit on bounces, or where density or gradient are not finite.
-        Its chain then waits for the other chains and is not evaluated again.
-
-        Parameters
-        ----------
-        state : State
-            Positions, log-densities and their gradients.
-        momentum : ndarray, shape (chains, ndim)
-        step_size : ndarray, shape (chains,)
+        Its chain then waits for the other chains and is not evaluated again. `momentum` has the shape (chains,
+        ndim), and `step_size` (chains,).
         """
         chains = len(momentum)
         q, p = state.position.copy(), momentum.copy()
@@ -389,10 +375,7 @@ class HamiltonianKernel(LocalKernel):
 
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the time at which each point reaches a bound, and the coordinate that this bound limits; both (n,).
-
-    The time is infinite if a point reaches no bound.
-    """
+    """Return the time at which each point reaches a bound (infinite if none), and the bound's coordinate."""
     # coordinates move independently between bounds: t_i = (bound ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0

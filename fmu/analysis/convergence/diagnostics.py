@@ -377,10 +377,7 @@ def is_beyond_draws(trace: xr.DataTree) -> bool:
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the largest of `values`, or an empty list if all are below `limit`.
-
-    A NaN counts as above the limit.
-    """
+    """Return a list with a sentence on the largest value above `limit`; a NaN counts as above it."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -388,10 +385,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the smallest of `values`, or an empty list if all are at least `limit`.
-
-    A NaN counts as below the limit.
-    """
+    """Return a list with a sentence on the smallest value below `limit`; a NaN counts as below it."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))

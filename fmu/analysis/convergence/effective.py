@@ -92,8 +92,8 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the standard error of s² divided by 2 s.
 
-    The ESS used is the smaller of the squares' ESS and the tail ESS, because slow mixing in a rarely visited tail
-    shows earlier in the tail ESS.
+    The smaller of the squares' ESS and the tail ESS is used, because the latter shows slow mixing in a tail
+    earlier.
     """
     if _is_degenerate(x):
         return np.nan
@@ -179,10 +179,9 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
 
 
 def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
-    """Return the autocorrelation of each chain at lags 0, 1, ..., shape (chains, steps).
+    """Return the autocorrelation of each chain at lags 0, 1, ..., shape (chains, steps); NaN if it does not move.
 
-    An ensemble's autocorrelation is taken about the mean of all its walkers and averaged over the walkers. The
-    result is NaN for a chain or ensemble that does not move.
+    An ensemble's autocorrelation is taken about the mean of all its walkers and averaged over the walkers.
     """
     paths = by_walker(x, walkers).astype(float)
     return np.array([_autocorrelation(p) if np.ptp(p) > 0 else np.full(p.shape[1], np.nan) for p in paths])

@@ -114,10 +114,7 @@ def _has_laws(trace: xr.DataTree) -> bool:
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
-    """Return the kinds of check that apply to a run, except checks of parameter laws.
-
-    Each is a function that takes the kind's significance level and returns its checks.
-    """
+    """Return functions that take a significance level and return the checks of one kind; laws are not included."""
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
         return kinds
@@ -164,10 +161,7 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Check each mode by its prediction from other modes or, if there is none, by its residuals.
-
-    Return one `Check` per mode.
-    """
+    """Check each mode by its prediction from other modes, or by its residuals if there is none; a `Check` each."""
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
@@ -234,10 +228,7 @@ def _how(trace: xr.DataTree, mode: str) -> str:
 
 
 def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
-    """Return the check of a mode's residuals after updating with this mode, used if the mode has no prediction.
-
-    If the mode has no residuals, the check's p is NaN.
-    """
+    """Return the check of a mode's residuals, for a mode without a prediction; its p is NaN without residuals."""
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"
     if not group.sizes["quantity"] or mode not in map(str, group["mode"].to_numpy()):
@@ -361,10 +352,7 @@ def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list
 
 
 def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
-    """Format `factor` times the noise of the first mode's frequency, in Hz and as a percentage.
-
-    The text is empty if the noise is not frequency noise.
-    """
+    """Format `factor` times the noise of the first mode's frequency, in Hz and in %; return "" for other noise."""
     if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
         return ""
     mode = trace["posterior_predictive"]["mode"].to_numpy()[0]
@@ -387,10 +375,7 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:
-    """Check the MAC of each measured mode shape; return one `Check` per mode.
-
-    The list is empty if the residuals include the shape errors.
-    """
+    """Check the MAC of each measured mode shape; return no check if the residuals include the shape errors."""
     if "shapes" in trace[GROUP]["quantity"].to_numpy():
         return []
     sentences = iter(shape_warnings(trace))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from scipy.special import logsumexp
 
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
-from fmu.analysis.held_out.own_run import draws_without, is_in_funnel
+from fmu.analysis.held_out.own_run import draws_without, is_in_funnel, seconds_of_a_solve
 from fmu.analysis.held_out.prediction import NEITHER, Draws, HeldOut, with_mode
 from fmu.analysis.held_out.refit import (
     ACCEPTED,
@@ -39,8 +38,6 @@ from fmu.analysis.trace.reading import (
     with_group,
 )
 from fmu.arguments import ArgumentError, check_arguments
-from fmu.fem.modes.eigensolver import DENSE_LIMIT
-from fmu.fem.pairing.paired_structure import structure_of
 from fmu.numbers import names_in_words
 from fmu.posterior.discrepancy.draws import at_distinct_rows
 from fmu.progress.phases import phase
@@ -59,7 +56,7 @@ REFIT, WEIGHTS, NOT_USED = "refit", "importance weights", "not used in updating"
 _ENOUGH, _SHARE, _FREE_S = 400, 0.5, 5.0
 _A_REFIT, _REFITS = 0.5, 3.0
 """Longest time to refit one mode with unreliable weights, and all of these modes, as multiples of `_FREE_S`."""
-_TIMED, _SEED = 64, 1
+_SEED = 1
 _BEFORE_A_RUN = 24_000
 """Largest number of solves of a refit that a separate run can replace if it is unreliable."""
 
@@ -155,7 +152,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
         is_cheap = enough and problem.solves_per_gradient == 1
         share = _SHARE * int(trace.attrs["n_solves"])
-        a_solve = _seconds_of_a_solve(problem, theta) if is_cheap else np.inf
+        a_solve = seconds_of_a_solve(problem, theta) if is_cheap else np.inf
         most = max(_FREE_S / a_solve, share) if is_cheap else 0.0
     prior_sd = np.full(problem.data.n_modes, np.nan)
     if most >= DRAWS:
@@ -378,24 +375,6 @@ def _log_likelihood(problem: UpdatingProblem, draws: Draws) -> FloatArray:
 
 def _generator(stream: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(_SEED, spawn_key=(stream,)))
-
-
-def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
-    """Return the approximate time of a solve in seconds.
-
-    For a user's function it is measured. For a structure it is estimated from the matrix sizes, so a repeated or
-    resumed run has the same table, whatever the load of the machine.
-    """
-    structure = structure_of(problem.model)
-    if structure is not None:
-        reduced = problem.model.sizes  # solved many at a time
-        if reduced:
-            return float(sum(max(1e-5, 6e-8 * n**2) for n in reduced))
-        sizes = [block.size for block in structure.blocks]
-        return float(sum(1.7e-4 + 1.2e-7 * n**2 if n <= DENSE_LIMIT else 3e-5 * n for n in sizes))
-    began = time.perf_counter()
-    problem.log_prob(theta[:_TIMED])
-    return (time.perf_counter() - began) / min(_TIMED, len(theta))
 
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:

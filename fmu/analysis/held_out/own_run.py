@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,8 @@ from fmu.analysis.held_out.together import walk
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.maxima.starts import are_in_funnel, choose_starts, components
+from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.fem.pairing.paired_structure import structure_of
 from fmu.posterior.scaled import LogarithmicDensity, ScaledDensity
 from fmu.samplers.kernel import Target
 from fmu.samplers.loop.run import Run
@@ -31,6 +34,8 @@ _CHAINS, _WARMUP, _FIRST, _MOST = 4, 1000, 1000, 128_000
 """Number of chains, warm-up steps, steps before convergence is first judged, and largest number of steps."""
 _WALKERS, _CANDIDATES, _EFFECTIVE = 128, 16_000, 400.0
 """Number of walkers, largest number of candidates, and ESS that is enough."""
+_TIMED = 64
+"""Number of points at which a user's function is timed."""
 _STARTS, _OUTSIDE = 32, 1e-4
 """Number of starting points in the search for maxima that candidates miss, and probability of a Gaussian beyond
 its draws."""
@@ -113,3 +118,21 @@ def is_in_funnel(problem: UpdatingProblem) -> bool:
 
 def _is_converged(x: FloatArray) -> bool:
     return bool(rhat(x) < RHAT_LIMIT and min(ess_bulk(x), ess_tail(x)) >= required_ess(len(x)))
+
+
+def seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
+    """Return the approximate time of a solve in seconds.
+
+    For a user's function it is measured. For a structure it is estimated from the matrix sizes, so a repeated or
+    resumed run has the same table, whatever the load of the machine.
+    """
+    structure = structure_of(problem.model)
+    if structure is not None:
+        reduced = problem.model.sizes  # solved many at a time
+        if reduced:
+            return float(sum(max(1e-5, 6e-8 * n**2) for n in reduced))
+        sizes = [block.size for block in structure.blocks]
+        return float(sum(1.7e-4 + 1.2e-7 * n**2 if n <= DENSE_LIMIT else 3e-5 * n for n in sizes))
+    began = time.perf_counter()
+    problem.log_prob(theta[:_TIMED])
+    return (time.perf_counter() - began) / min(_TIMED, len(theta))

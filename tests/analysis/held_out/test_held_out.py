@@ -171,7 +171,7 @@ def test_the_table_is_kept_in_the_trace(make_result, problem, tmp_path):
 
 
 def test_no_number_where_updating_anew_would_take_long(few, problem, monkeypatch):
-    monkeypatch.setattr(modes, "_seconds_of_a_solve", lambda problem, theta: 1.0)
+    monkeypatch.setattr(modes, "seconds_of_a_solve", lambda problem, theta: 1.0)
     table = fmu.leave_one_out(with_left_out(few(problem), problem))
     assert not table["method"].any()
     assert table[["mean", "sd", "p", "elpd", "mcse_elpd"]].isna().all(axis=None)
@@ -179,7 +179,7 @@ def test_no_number_where_updating_anew_would_take_long(few, problem, monkeypatch
 
 def with_poor_weights(make_result, problem, monkeypatch, seconds):
     """A run of which all modes would take too long to leave out, and the weights of W1 and T1 are unreliable."""
-    monkeypatch.setattr(modes, "_seconds_of_a_solve", lambda problem, theta: seconds)
+    monkeypatch.setattr(modes, "seconds_of_a_solve", lambda problem, theta: seconds)
     draws = np.random.default_rng(1).multivariate_normal(*posterior_of((True,) * 3, np.diag(0.5 / BETA)), (4, 500))
     trace = to_trace(make_result(draws), problem)
     trace.attrs["n_solves"] = 1
@@ -239,8 +239,8 @@ def test_what_is_affordable_does_not_depend_on_the_clock():
     """By the sizes of the matrices: a run that is resumed on a busy machine has the same table."""
     young, section = (fmu.cases.load(f"cantilever-{name}") for name in ("young", "section"))
     nowhere = np.empty((0, 5))
-    assert modes._seconds_of_a_solve(young, nowhere) == pytest.approx(6e-8 * young.model.sizes[0] ** 2)
-    assert modes._seconds_of_a_solve(section, nowhere) == 1e-5  # the least, of small matrices
+    assert modes.seconds_of_a_solve(young, nowhere) == pytest.approx(6e-8 * young.model.sizes[0] ** 2)
+    assert modes.seconds_of_a_solve(section, nowhere) == 1e-5  # the least, of small matrices
 
 
 def test_one_search_serves_all_runs(few, problem, monkeypatch):

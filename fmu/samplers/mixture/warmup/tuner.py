@@ -368,10 +368,7 @@ class MixtureTuner:
         return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 
     def _log_density_so_far(self, u: FloatArray) -> FloatArray:
-        """Return the combined log-density of all mixtures so far at points u (n, ndim), shape (n,).
-
-        It is known up to a constant.
-        """
+        """Return the combined log-density of all mixtures at points (n, ndim), shape (n,), up to a constant."""
         of_stages = [stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n]
         return sum_densities(of_stages, [n for n in self.counts if n])
 
