@@ -305,7 +305,7 @@ class MeasurementTable(TomlTable):
         return tuple(sensors)
 
     def _read(self, folder: Path) -> ModesGiven:
-        """Read the modes, tests and covariance from the source of the frequencies, and add shapes and sensors."""
+        """Read the modes, tests and covariance from the frequencies' source, and add shapes and sensors."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         given = self._read_frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
         if self._reads_shapes:

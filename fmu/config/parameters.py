@@ -57,7 +57,7 @@ class Target(TomlTable):
     scaling: Literal["absolute", "factor"] = "absolute"
 
     def names_at(self, key: str, groups: Sequence[str] = ()) -> list[str]:
-        """Return the names under `key` ("groups", "masses" or "springs"); for ``"all"``, return all `groups`."""
+        """Return the names listed under `key` ("groups", "masses" or "springs"), or all `groups` for ``"all"``."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
 

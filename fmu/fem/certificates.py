@@ -113,7 +113,7 @@ class ReductionCertificate(Certificate):
         return is_small and not self.pairing_changes and not self.bound_exceeded
 
     def sentences(self) -> list[str]:
-        """Return a list with a sentence on how far the errors exceed their tolerances, or [] if they do not."""
+        """Return a list with a sentence on how far the errors exceed their tolerances, or [] if none do."""
         if self.ok:
             return []
         pairs = (

@@ -58,7 +58,7 @@ _ADDED = (0.0, 3e-8, 3e-7)
 
 
 class StalledError(MemoryError):
-    """Raised when single-precision factors are too inaccurate, so that double precision is needed."""
+    """Raised if single-precision factors are too inaccurate. Double precision is then needed."""
 
     def __init__(self, why: str) -> None:
         super().__init__(

@@ -122,7 +122,7 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
 
 
 def _number(word: str, name: str) -> float:
-    """Convert a Fortran number to float. Fortran drops the letter before a three-digit exponent: ``1.0-100``."""
+    """Convert a Fortran number to float. Fortran omits the letter E before a three-digit exponent: ``1.0-100``."""
     try:
         return float(_NO_LETTER.sub(r"E\1", word))
     except ValueError:

@@ -44,7 +44,7 @@ class FRFsInFile(NamedTuple):
         return None
 
     def reader(self, folder: Path, damping: Sequence[DampingModel]) -> Any:
-        """Return the callable `read_frfs` that `fmu.config.errors.build_error_models` takes as an argument."""
+        """Return the function to pass as `read_frfs` to `fmu.config.errors.build_error_models`."""
         return partial(read_frfs, files=self.files, folder=folder, damping=damping)
 
     def by_test(self, errors: Sequence[ErrorModel]) -> OfFRFs:

@@ -242,7 +242,7 @@ class _Mesh:
         return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
-        """Return a parameter's targets as `Frame.separable` takes them: a list of name tuples, or a Factor."""
+        """Return a parameter's targets as arguments for `Frame.separable`: a list of name tuples, or a Factor."""
         named = table.names_at(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]

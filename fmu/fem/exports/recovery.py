@@ -161,7 +161,10 @@ class _Points:
         return None, first
 
     def sets_of_powers(self, known: Sequence[Powers], group: Sequence[int]) -> Iterator[tuple[Powers, ...]]:
-        """Yield the known terms plus new terms in a group of parameters: fewest first, then simplest first."""
+        """Yield sets of terms: the known terms plus new terms in a group of parameters.
+
+        Sets with fewer new terms come first and, among sets of equal size, simpler ones.
+        """
         choices = []
         for size in range(min(len(group), _FACTORS) + 1):
             for those in combinations(group, size):

@@ -289,7 +289,7 @@ class JointSpring:
         }
 
     def require_coincident(self, nodes: FloatArray) -> None:
-        """Raise ValueError if tied nodes do not coincide; `nodes` (n_nodes, 3) are all coordinates in m."""
+        """Raise ValueError if tied nodes do not coincide; `nodes` (n_nodes, 3) has all coordinates in m."""
         first, second = self.nodes
         if not self.tied or second is None:
             return

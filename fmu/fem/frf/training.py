@@ -158,7 +158,7 @@ def train(
 def enlarge(
     full: FullBlock, rows: sp.csr_array, block: ReducedBlock, theta: FloatArray, lines: Lines
 ) -> ReducedBlock:
-    """Return a reduced block whose basis also has the modes and responses at theta (n_parameters,)."""
+    """Return a reduced block whose basis is enlarged by the modes and responses at theta (n_parameters,)."""
     A, V = _energy(full, theta, lines), block.basis
     V = V / np.sqrt(np.sum(V * (A @ V), axis=0))
     V = np.linalg.solve(np.linalg.cholesky(V.T @ (A @ V)), V.T).T

@@ -310,7 +310,7 @@ class Block:
 
 
 def shapes_at(rows: Matrix, phi: FloatArray) -> FloatArray:
-    """Return the components of shapes (n, size, m) at sensors with rows (n_sensors, size), (n, n_sensors, m)."""
+    """Return shapes (n, size, m) at sensors with rows (n_sensors, size), as an array (n, n_sensors, m)."""
     if not sp.issparse(rows):
         return np.asarray(rows @ phi)
     # a sparse matrix multiplies the shapes of one theta at a time

@@ -251,7 +251,7 @@ class FullBlock(Block):
 
     @cached_property
     def _has_semidefinite_masses(self) -> bool:
-        """Whether all mass terms are semidefinite, so that sums with positive weights have equal rank."""
+        """Whether all mass terms are semidefinite. If so, all sums with positive weights have the same rank."""
         try:
             return all(rank(term.matrix) >= 0 for term in self.M_terms)
         except SingularMassError:

@@ -284,6 +284,6 @@ class Correlation:
         return found
 
     def table(self) -> pd.DataFrame:
-        """Return a table with columns ``comac`` and ``ecomac``, one row per sensor, largest ``ecomac`` first."""
+        """Return a table with columns ``comac`` and ``ecomac``, one row per sensor, by descending ``ecomac``."""
         columns = {"comac": self.comac, "ecomac": self.ecomac}
         return data_frame(columns, "sensor", self.sensors).sort_values("ecomac", ascending=False, kind="stable")

@@ -39,7 +39,7 @@ class FrequencyMap(Protocol):
     n_modes: int
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes), or NaN where a solve failed."""
+        """Return frequencies in Hz, (n, n_modes), at theta (n, n_parameters), with NaN where a solve failed."""
         ...
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,7 +184,7 @@ class ModalModel:
         return of(self, theta[:, : self.n_parameters])
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz at theta (n, n_parameters), shape (n, n_modes), or NaN where a solve failed."""
+        """Return frequencies in Hz, (n, n_modes), at theta (n, n_parameters), with NaN where a solve failed."""
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:

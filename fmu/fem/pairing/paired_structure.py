@@ -204,7 +204,7 @@ class PairedStructure(ModalModel):
 
     @cached_property
     def rows(self) -> list[Matrix]:
-        """Sensor rows of each block, computed on demand because many problems do not use mode shapes."""
+        """Sensor rows of each block. They are computed on demand, because many problems do not use mode shapes."""
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.blocks]
 
     @cached_property

@@ -45,12 +45,15 @@ class Pairing(ABC):
     is_constant: ClassVar[bool] = False
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return the `Observation` of each block whose shapes are compared, or {} if no shapes are compared."""
+        """Return the `Observation` of each block whose shapes are compared.
+
+        It is empty if no shapes are compared.
+        """
         return {}
 
     @abstractmethod
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of the lowest modes to solve for in each block to include all paired modes."""
+        """Return how many of each block's lowest modes must be computed to include all paired modes."""
 
     @abstractmethod
     def solve(
@@ -81,7 +84,7 @@ class RankPairing(Pairing):
     is_constant: ClassVar[bool] = True
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of the lowest modes to solve for in each block to include all paired modes."""
+        """Return how many of each block's lowest modes must be computed to include all paired modes."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
 
@@ -246,7 +249,7 @@ class ShapePairing(Pairing):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return the block and rank of each paired mode, and the solved modes by block; see `Pairing`."""
+        """Return the block and rank of each paired mode, and the solved modes keyed by block; see `Pairing`."""
         solved, merged, (owner, rank, _) = self._solve(blocks, theta, gradient, observed)
         failed = np.isnan(merged).any(axis=1, keepdims=True)
         return np.where(failed, -1, owner), np.where(failed, -1, rank), solved

@@ -179,7 +179,7 @@ class SolveStore:
             )
 
     def _paths(self, theta: FloatArray) -> tuple[Path, Path]:
-        """Return the two possible file paths for a theta: for a successful solve, and for a failed one."""
+        """Return the two paths at which a solve at theta may be stored: one if it succeeded, one if it failed."""
         name = f"{digest(theta.tobytes())[:32]}{_SUFFIX}"
         return self.folder / name, self.folder / FAILED / name
 

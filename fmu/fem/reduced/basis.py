@@ -182,7 +182,7 @@ class ReducedBlock(Block):
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Express sensor rows and reference shapes in an orthonormal basis of the block's sensor shapes."""
+        """Return sensor rows and reference shapes in an orthonormal basis; see `compress_rows` in this module."""
         return compress_rows(rows, reference)
 
     def _slopes_seen(
@@ -292,7 +292,10 @@ Parts = tuple[FullBlock | ReducedBlock, ...]
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Project rows (q, r) and reference shapes (q, m) onto an orthonormal basis of the rows' column space."""
+    """Project rows (q, r) and reference shapes (q, m) onto an orthonormal basis of the rows' column space.
+
+    They are returned unchanged if q ≤ r.
+    """
     if rows.shape[0] <= rows.shape[1]:
         return rows, reference
     Q, R = np.linalg.qr(rows)

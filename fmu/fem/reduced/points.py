@@ -70,7 +70,7 @@ class Trained:
     shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
 
     def bound(self, full: tuple[FullBlock, ...]) -> FrequencyBound:
-        """Return bounds on the frequency errors relative to the `full` blocks from which the model was reduced."""
+        """Return bounds on the frequency errors, relative to the `full` blocks that were reduced."""
         return FrequencyBound(full, self.blocks, self.lower, self.upper, self.anchors, self.shared)
 
 

@@ -337,7 +337,7 @@ def _narrow(
     tolerance: float,
     region: Callable[[ReducedStructure], FloatArray],
 ) -> ReducedStructure | None:
-    """Continue training in a region of the box; return the model, or None if this training does not succeed."""
+    """Continue training in a region of the box; return the model, or None if training does not succeed there."""
     models: list[ReducedStructure] = []
     for trained in training.narrow(tolerance, lambda: region(models[-1])):
         models.append(ReducedStructure(truth, trained))

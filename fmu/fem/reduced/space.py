@@ -63,7 +63,7 @@ class Space:
         return self.V.shape[1]
 
     def grown(self, X: FloatArray, A: Matrix) -> Space:
-        """Return the space with the new directions in X (block.size, q) added; see `new_directions`."""
+        """Return the space enlarged by the new directions in X (block.size, q); see `new_directions`."""
         return self.join(new_directions(self.V, X, A))
 
     def join(self, X: FloatArray) -> Space:

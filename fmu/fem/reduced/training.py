@@ -245,7 +245,7 @@ class Training:
         return training.current()
 
     def _visit(self, enough: int) -> bool:
-        """Visit fresh points until errors at `enough` consecutive points are small. Return True on success."""
+        """Visit fresh points until the errors at `enough` consecutive points are small; return True on success."""
         good = visited = 0
         with phase("training") as under_way:
             while good < enough and visited < _MOST_POINTS:
@@ -334,7 +334,10 @@ class Training:
         return self.learners[b].visit(theta, allowed, share)
 
     def _affordable(self, b: int) -> int:
-        """Return the largest useful basis size for block `b`, at which a solve costs a third of a full solve."""
+        """Return the largest useful basis size for block `b`.
+
+        For a large block, its solves cost at most a third of full solves.
+        """
         most = affordable(self.full[b].size)
         return min(most, self.costs[b].most_vectors()) if b in self.costs else most
 

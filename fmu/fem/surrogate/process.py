@@ -162,7 +162,7 @@ class Process:
         return self._mean + self.unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
 
     def _remaining_variance(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the posterior variance (n,) of the scaled y, which is k(x, x) − uᵀu with u = L⁻¹k (n, N)."""
+        """Return the posterior variance (n,) of the scaled y: k(x, x) − uᵀu, where u = L⁻¹k has shape (n, N)."""
         own = np.ones(len(x))
         for j in range(x.shape[1]):
             own += x[:, j] ** 2

@@ -194,7 +194,7 @@ class SurrogateModel(ModalModel):
         return {"design": digest.hexdigest()}
 
     def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return expected values and variances from the frequency processes at x, (n, n_modes) each."""
+        """Return the frequency processes' expected values and variances at x, (n, n_modes) each."""
         with single_thread():
             parts = [p.predict(x, limited) for p in self.of_frequencies]
         y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
@@ -249,6 +249,6 @@ def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Des
 
 
 def orient_shapes(shapes: FloatArray, reference: FloatArray) -> FloatArray:
-    """Scale shapes (n, n_sensors, n_modes) to unit length, and give them the signs of the reference shapes."""
+    """Return shapes (n, n_sensors, n_modes) of unit length, with the signs of the reference shapes."""
     along = np.sum(shapes * reference, axis=1, keepdims=True)
     return shapes / np.linalg.norm(shapes, axis=1, keepdims=True) * np.where(along < 0.0, -1.0, 1.0)

@@ -128,7 +128,7 @@ class _Expansion(NamedTuple):
 
 
 def _expansion(path: Path) -> _Expansion:
-    """Read the expanded nodes from ``job.12d``; the expansion is empty if there is no such file."""
+    """Read the expanded nodes from ``job.12d``. The result is an empty expansion if there is no such file."""
     found = _Expansion({}, set())
     if why_no_file(path) or too_large(path, LARGEST_FILE):
         return found

@@ -29,7 +29,7 @@ def modes(theta: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 
 def _gradient(squared: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ∂f/∂θ = φᵀ ∂K/∂θ φ / (8π² f), computed from the springs' elongations; Fox & Kapoor (1968)."""
+    """Return ∂f/∂θ = φᵀ ∂K/∂θ φ / (8π² f) (Fox & Kapoor 1968), computed from the springs' elongations."""
     stretched = np.diff(shapes, axis=0, prepend=0.0) ** 2 * STIFFNESS[:, None]
     slopes = np.stack([stretched[0], stretched[1] + stretched[2]], axis=1)
     frequencies = np.sqrt(squared) / (2.0 * np.pi)
