@@ -82,9 +82,9 @@ class Section:
     @classmethod
     @check_arguments
     def i_section(cls, height: Length, width: Length, web: Length, flange: Length) -> Section:
-        """Return a doubly symmetric I-section, dimensions in m; Iy belongs to bending in the plane of the web.
+        """Return a doubly symmetric I-section with dimensions in m. Iy resists bending in the plane of the web.
 
-        The overall `height` and the web lie along local z, the flanges of `width` along local y; `web` and
+        The web, of overall `height`, lies along local z, and the flanges, of `width`, along local y. `web` and
         `flange` are thicknesses. Fillets are neglected. The torsion constant is Σ b t³/3 over the two flanges and
         the web between them (Timoshenko & Goodier 1970, §112).
 

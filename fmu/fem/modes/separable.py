@@ -302,8 +302,8 @@ class SeparableModel:
         Parameters
         ----------
         sensors : sequence of (place, direction)
-            A place is a node or a name in `arms`. The direction is a degree of freedom's, with a leading minus
-            sign if the sensor has reversed polarity: ``"z"``, ``"-z"``.
+            A place is a node or a name in `arms`. A direction is ``"z"``, for example, or ``"-z"`` if the sensor
+            has reversed polarity.
 
         Returns
         -------

@@ -62,7 +62,7 @@ class ClosePairs:
         return found
 
     def values(self, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Convert fitted quantities y and their variances v to z and its variance, (n, n_modes) each."""
+        """Return z and its variance, (n, n_modes) each, from the fitted quantities y and their variances v."""
         z, z_variance = y.copy(), v.copy()
         for i in self.first:
             root, h = _root(y[:, i + 1], v[:, i + 1])

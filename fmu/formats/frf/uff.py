@@ -2,8 +2,8 @@
 
 The datasets are read by pyuff: text or binary, even or uneven spacing, single or double precision (University of
 Cincinnati, *Universal File Formats for Modal Analysis Testing*). Function type 4 is an FRF, type 6 a coherence.
-The kind follows from the data types of the ordinate and its denominator, the units from dataset 164. Directions
-are along the axes of the node's displacement coordinate system (datasets 15 or 2411, with 18 or 2420).
+The data types of the ordinate and its denominator determine the kind of FRF, and dataset 164 gives the units.
+Directions are along the axes of the node's displacement coordinate system (datasets 15 or 2411, with 18 or 2420).
 """
 
 from __future__ import annotations
