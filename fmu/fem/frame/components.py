@@ -84,7 +84,7 @@ class Section:
     def i_section(cls, height: Length, width: Length, web: Length, flange: Length) -> Section:
         """Return a doubly symmetric I-section with dimensions in m. Iy resists bending in the plane of the web.
 
-        The web, of overall `height`, lies along local z, and the flanges, of `width`, along local y. `web` and
+        The overall `height` and the web lie along local z, and the `width` of the flanges along local y. `web` and
         `flange` are thicknesses. Fillets are neglected. The torsion constant is Σ b t³/3 over the two flanges and
         the web between them (Timoshenko & Goodier 1970, §112).
 
