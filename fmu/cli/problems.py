@@ -34,7 +34,9 @@ def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
 
 
 def problem_of(case: str, pairing: str | None) -> KeptProblem:
-    """Return the problem file of a built-in case or of a user, with its pairing. The problem is not built yet.
+    """Return the problem file of a built-in case or at a path. The problem is not built yet.
+
+    `pairing` replaces the file's pairing, unless it is None.
 
     Raises
     ------

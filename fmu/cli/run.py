@@ -124,8 +124,8 @@ def run(
     First searches for the posterior maxima (map.csv), to detect samplers that miss one. Writes a trace
     (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, an HTML report
     (report/index.html), a list of failed solves if there are any (failures-SAMPLER.csv), and a copy of CASE
-    (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops it cleanly; --resume continues a run
-    that was stopped or killed, bit for bit. The exit code is 1 if a sampler has not converged, unless --draws was
+    (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops it cleanly; --resume continues a
+    stopped or killed run with the same bits. The exit code is 1 if a sampler has not converged, unless --draws was
     given.
     """
     gc.set_threshold(_GARBAGE)

@@ -1,4 +1,4 @@
-"""Errors in a problem file, reported together, each with its location, the rule and the value received."""
+"""Report all errors in a problem file at once, each with its location, the broken rule and the value received."""
 
 from __future__ import annotations
 

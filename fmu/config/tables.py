@@ -279,7 +279,7 @@ class OneOf:
 
 
 class Of:
-    """The type of an object that is built from a table: ``Annotated[Material, Of("material", Material)]``.
+    """Annotation for an object that is built from a table: ``Annotated[Material, Of("material", Material)]``.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ class Of:
     *makes : callable
         See `declare_table`.
     **renamed : str
-        Argument names, each given under the key that replaces it in the file. Such a key's value is a name.
+        Maps a key in the file to the constructor's argument that it replaces. The key's value must be a `Name`.
     """
 
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:

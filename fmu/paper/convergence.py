@@ -133,7 +133,7 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest run length from which on the convergence checks pass at every length examined.
+    """Return the shortest run that passes the convergence checks, as do all longer runs that were examined.
 
     Parameters
     ----------

@@ -70,10 +70,7 @@ class Posterior:
         return other
 
     def log_prob(self, theta: ArrayLike) -> Any:
-        """Return log P(θ|D) up to the log-evidence: the sum of `log_likelihood` and `log_prior`.
-
-        The result is a float for theta (ndim,) and has shape (n,) for theta (n, ndim).
-        """
+        """Return log P(θ|D) up to the log-evidence; a float for theta (ndim,), or shape (n,)."""
         points, single = self._points(theta)
         within = self._within(points)
         if np.count_nonzero(within) == within.size > 0:  # the usual case, without copies
@@ -86,10 +83,7 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return the log-probability and its gradient with respect to theta.
-
-        The gradient has the shape of theta and is NaN outside the bounds.
-        """
+        """Return the log-probability and its gradient, which has theta's shape and is NaN outside the bounds."""
         points, single = self._points(theta)
         within = self._within(points)
         if np.count_nonzero(within) == within.size > 0:
@@ -182,10 +176,7 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return `log_prior` and its gradient, which is NaN outside the bounds.
-
-        The shapes are as in `log_prob_and_grad`.
-        """
+        """Return `log_prior` and its gradient, shaped like theta, which is NaN outside the bounds."""
         points, single = self._points(theta)
         value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
         inside = self._within(points).all(axis=1)
@@ -209,10 +200,7 @@ class Posterior:
         return [(one.term, one.own(of_model)) for one in self.likelihood.every]
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
-        """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).
-
-        theta may lie outside the bounds.
-        """
+        """Return the frequencies paired with the measured modes, Hz, (n_modes,) or (n, n_modes), at any theta."""
         points, single = self._points(theta)
         frequencies = self.model.frequencies(self.model_parameters(points))
         return frequencies[0] if single else frequencies
@@ -312,10 +300,7 @@ class Posterior:
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first SeparableModel that depends on parameter `k` of theta, and its index of the parameter.
-
-        Return None if no matrices depend on it.
-        """
+        """Return the first SeparableModel that depends on parameter `k` of theta, and its index there, or None."""
         of = self.roles[k].of
         return None if of is None else self.model.matrices_of(of)
 

@@ -22,20 +22,22 @@ _FLAT = 0.1
 
 
 class Fit(NamedTuple):
-    """Position of a prior relative to its bounds, in the parameter's unit.
+    """Position of a prior relative to its bounds.
 
     Attributes
     ----------
     mass : float
         Prior probability between the bounds.
     centre, sd : float
-        Median of the prior before truncation, and half the width of its central 68 % interval.
+        Median of the prior before truncation, and half the width of its central 68 % interval, in the parameter's
+        unit.
     outside : float
         Distance of the centre outside the bounds in units of `sd`; 0 if the centre is inside.
     median, spread : float
-        Median of the truncated prior, and half the width of its central 68 % interval.
+        Median of the truncated prior, and half the width of its central 68 % interval, in the parameter's unit.
     is_flat : bool
-        Whether the prior is nearly constant between its bounds, so that its median is near the middle.
+        Whether the median of the truncated prior is within a tenth of the bounds' distance from their middle. A
+        prior with a small `mass` is then taken to be flat.
     """
 
     mass: float

@@ -188,10 +188,7 @@ def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the smallest thinning interval that keeps at most `most` draws and samples all walkers equally.
-
-    Draws are in step-major order, so the interval is coprime with `walkers`.
-    """
+    """Return the thinning interval that keeps at most `most` step-major draws and is coprime with `walkers`."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1

@@ -94,7 +94,7 @@ def fewest(table: pd.DataFrame) -> float:
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return the largest (R-hat − 1)/(limit − 1) over the parameters; above 1, some R-hat exceeds its limit."""
+    """Return the largest (R-hat − 1)/(limit − 1) of all parameters. It exceeds 1 if an R-hat exceeds its limit."""
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 

@@ -89,9 +89,9 @@ def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list
 
 
 def _describe_correlation(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
-    """Return a list with a clause on the inferred correlation of the discrepancy between modes.
+    """Return a list with a clause on the model discrepancy's correlation between modes.
 
-    The list is empty if no correlation is inferred.
+    The list is empty if this correlation is not inferred.
     """
     number = settings.get("correlation", {}).get("inferred", -1)
     if number < 0:

@@ -113,7 +113,7 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """Sentences of the failed checks, sorted: checks that name a cause, then the least probable results."""
+        """Sentences of the failed checks: first checks that name a cause, then others by increasing p-value."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property

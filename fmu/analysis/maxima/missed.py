@@ -28,7 +28,7 @@ _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """Maxima whose fraction of a run's draws disagrees with their posterior probability.
+    """Messages about maxima whose shares of the draws disagree with their posterior probabilities.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Comparison(NamedTuple):
         Reasons why the run has not converged: maxima that it missed, or visited out of proportion.
     outweighed : list of str
         Disagreements in which the run has the larger ESS, so that the probability from importance sampling is
-        wrong.
+        taken to be wrong.
     """
 
     reasons: list[str]

@@ -72,7 +72,7 @@ class StoredEnsemble:
     def find_moves(self, thin_by: int) -> BoolArray | None:
         """Return a mask (steps, walkers) of the walkers that moved, or None if some steps were not stored.
 
-        A walker moved in the first step if emcee accepted more of its proposals than it moved later.
+        A walker moved in the first step if the number of its accepted proposals exceeds the number of later moves.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:

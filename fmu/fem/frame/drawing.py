@@ -248,16 +248,16 @@ def _geometry(model: SeparableModel) -> Geometry:
 def _view(nodes: FloatArray) -> FloatArray:
     """Return the two axes of the plot, shape (2, 3).
 
-    A plane structure is viewed face-on, any other from a corner.
+    Plane structures are viewed face-on, straight ones from a side, and all others from a corner.
     """
     extent = np.ptp(nodes, axis=0)
     is_flat = extent <= _FLAT * extent.max()
-    if is_flat[1] or is_flat.sum() == 2:
+    if is_flat[1]:
         return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    if is_flat[2]:
-        return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     if is_flat[0]:
         return np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    if is_flat[2]:
+        return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
 
 

@@ -62,7 +62,7 @@ class Ownership:
     n_parameters: int
 
     def of_spring(self, number: int) -> int | None:
-        """Return the index of the first parameter that sets a spring's stiffness, or None if none does."""
+        """Return the index of the first parameter that changes a spring's stiffness, or None if none does."""
         owners = [
             one.parameter for q, one in self.owner.items() if (q.property, q.number) == ("stiffness", number)
         ]

@@ -8,10 +8,10 @@ A separate step in the input deck::
     *END STEP
 
 writes ``job_STIF1.mtx`` and ``job_MASS1.mtx``, with lines of row node, row degree of freedom, column node, column
-degree of freedom, entry. A symmetric matrix may have only one entry of each pair. ``FORMAT=COORDINATE`` writes
+degree of freedom, entry. A symmetric matrix needs only one entry of each pair. ``FORMAT=COORDINATE`` writes
 lines of row, column, entry, without the names of the degrees of freedom.
 
-In a step of any kind, the element matrices for a set are written to ``left.mtx`` by::
+The following keyword, in any step, writes a set's element matrices to ``left.mtx``::
 
     *ELEMENT MATRIX OUTPUT, ELSET=LEFT, STIFFNESS=YES, MASS=YES, OUTPUT FILE=USER DEFINED, FILE NAME=left
 

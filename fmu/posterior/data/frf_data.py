@@ -321,10 +321,7 @@ class FRFData:
 
     @check_arguments
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
-        """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
-
-        Raise ValueError if `mask` has another shape, or no line is left.
-        """
+        """Return the FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is True."""
         left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
         return replace(self, use=self._chosen & ~left_out, band=None)
 

@@ -177,10 +177,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's sum of squared residuals given earlier tests, (n, n_kinds, n_used).
-
-        The residuals are standardised with their conditional standard deviations.
-        """
+        """Return each used mode's standardised, squared residuals given earlier tests, (n, n_kinds, n_used)."""
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -246,10 +243,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, with a random model discrepancy added; see `Likelihood`.
-
-        Raise ValueError if theta is None.
-        """
+        """Return frequencies (n, n_modes), Hz, with a random discrepancy added; theta must not be None."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -301,10 +295,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequency derivatives in Hz with respect to a mode's own errors and to the common errors.
-
-        Their shapes are (n, n_modes, P) and (n, n_modes, C).
-        """
+        """Return each frequency's derivatives, Hz, by its mode's own and the common errors, (n, n_modes, …)."""
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
@@ -349,10 +340,9 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         change: Change,
     ) -> FloatArray:
-        """Return the derivatives with respect to parameters, (n, m, p), through the residuals and their slopes.
+        """Return the derivatives by the parameters, (n, m, p), through the residuals and their slopes.
 
-        Without exact second derivatives, the slopes are differentiated by finite differences, which takes 2 p
-        solves.
+        Without exact second derivatives, the slopes are differenced, which takes 2 p solves.
         """
         values, noise = self._values(theta), self._noise(theta)
         of_residuals = np.einsum("nmk,nmkp->nmp", change.by_residual, rows.slopes)

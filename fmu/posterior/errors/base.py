@@ -141,8 +141,7 @@ class ErrorTerm:
     def among(self, used: IntArray | None) -> ErrorTerm:
         """Return the error model for the `used` modes (indices). Its terms sum to these modes' joint log-density.
 
-        The caller drops the other modes' terms. Subclasses in which a term depends on other measured modes
-        override this method.
+        The caller drops other modes' terms. A subclass overrides this if a term depends on other measured modes.
         """
         return self
 
@@ -321,7 +320,7 @@ class Likelihood:
         raise NotImplementedError
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the modes that the error models need, predicted at theta (n, ndim)."""
+        """Return the predicted modes at theta (n, ndim), with the shapes if an error model needs them."""
         raise NotImplementedError
 
     @property
@@ -330,10 +329,7 @@ class Likelihood:
         return False
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood terms at theta, given the computed frequencies there, (n, n_modes), Hz.
-
-        The model is solved again only if the terms need more than the frequencies.
-        """
+        """Return the terms at theta, given the frequencies (n, n_modes); the model is solved only if needed."""
         return self.terms(theta)
 
     def terms_and_misfit(
@@ -377,12 +373,9 @@ class Likelihood:
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies with measurement errors added, (n, n_modes), Hz. `noise` contains the inferred sds.
+        """Return frequencies with measurement errors added, (n, n_modes), Hz; `noise` has the inferred sds.
 
-        Raises
-        ------
-        ValueError
-            If the likelihood does not define a frequency distribution.
+        Raise ValueError if the likelihood does not define a frequency distribution.
         """
         raise ArgumentError("error", "must be a distribution of the frequencies to simulate them")
 
@@ -395,10 +388,7 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with a random model discrepancy added.
-
-        The discrepancy is drawn from its posterior if `given_data` is True, otherwise from its prior.
-        """
+        """Return frequencies, Hz, with a discrepancy drawn from its prior, or posterior if `given_data`."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

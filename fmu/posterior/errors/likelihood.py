@@ -218,10 +218,7 @@ class ModalLikelihood(Likelihood):
     ) -> FloatArray:
         """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added.
 
-        Raises
-        ------
-        ValueError
-            If standard deviations are inferred and `noise` (n, n_noise) is not given.
+        Raise ValueError if standard deviations are inferred and `noise` (n, n_noise) is not given.
         """
         if self.frequency_term is None:
             return frequencies
@@ -312,10 +309,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with derivatives with respect to theta.
-
-        Without a `chain`, the derivatives are with respect to the parameters in the mode's own test.
-        """
+        """Return the modes, with derivatives by theta or, without a `chain`, by their tests' parameters."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

@@ -217,7 +217,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the modes that the error models need, predicted at theta (n, ndim)."""
+        """Return the predicted modes at theta (n, ndim), with the shapes if an error model needs them."""
         return self.modal.observed(self._of_modes(theta), gradient)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:

@@ -349,10 +349,7 @@ class FRFTerm:
                 slope[:, channels.delay[j]] += np.sum(np.sum(own.imag * omega, axis=2), axis=1)
 
     def information(self, theta: FloatArray) -> FloatArray:
-        """Return the Fisher information on theta, shape (n, ndim, ndim), at theta (n, ndim).
-
-        Gain errors that are integrated out are eliminated from it.
-        """
+        """Return the Fisher information on theta, (n, ndim, ndim), with the integrated gain errors eliminated."""
         found = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
         with single_thread(), np.errstate(all="ignore"):
             for i in range(len(theta)):

@@ -65,11 +65,10 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Plot each mode shape before updating (dashed) and at the posterior mean, and the measured mode shape.
 
-    Diamonds are the measured components, and a dotted line is the measured shape expanded to the mesh. A straight
-    structure is shown with its largest displacement upwards. Any other structure is shown in its plane or in
-    isometric projection, with scaled displacements. More than six modes are shown in two columns. If there is no
-    geometry, the mode shape components are plotted. Measured shapes are scaled to the posterior mean by least
-    squares.
+    A straight structure is shown with its largest displacement upwards. Any other structure is shown in its plane
+    or in isometric projection, with scaled displacements, and in two columns if there are more than six modes.
+    Without a geometry, the mode shape components are plotted. Diamonds are the measured components, scaled to the
+    posterior mean by least squares, and a dotted line is the measured shape expanded to the mesh.
 
     Parameters
     ----------
