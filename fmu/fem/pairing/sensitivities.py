@@ -224,14 +224,16 @@ class StructureSensitivities(Sensitivities):
                 along = np.zeros((len(d), int(rank.max()) + 1, d.shape[2]))
                 along[row, rank] = d[row, column]
                 if of_shapes is not None:
-                    of_block, slopes = block.shape_curvature(self._theta, lam, phi, self._left(part, of_shapes))
+                    of_block, slopes = block.shape_curvature(
+                        self._theta, lam, phi, self._weigh_block(part, of_shapes)
+                    )
                     rest[row, column] = of_block[row, rank]
                 of_block = block.eigenvalue_curvature(self._theta, lam, phi, along, slopes)
                 found[row, column] = of_block[row, rank]
             turned = self.gradient * np.einsum("nmk,nmk->nm", self.gradient, d)[..., None]
             return np.asarray((found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None] + rest)
 
-    def _left(self, part: _Solved, weights: FloatArray) -> FloatArray:
+    def _weigh_block(self, part: _Solved, weights: FloatArray) -> FloatArray:
         """Convert weights for sensor shapes to weights for a block's shapes, (n, size, m, n_parameters)."""
         assert part.sensors is not None  # shapes were requested
         (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1

@@ -116,7 +116,7 @@ class ModelErrors:
         r = np.concatenate([part[0] for part in parts], axis=2)
         J = np.empty((*r.shape, 0)) if np.ndim(parts[0][1]) == 0 else np.concatenate([p[1] for p in parts], axis=2)
         units = [one.units(terms, seen, noise) for one in self.modes]
-        own, common = (_joined([np.empty((*r.shape, 0)), *(unit[i] for unit in units)], 3) for i in (0, 1))
+        own, common = (_join([np.empty((*r.shape, 0)), *(unit[i] for unit in units)], 3) for i in (0, 1))
         return Linearised(*(take(x, 1) for x in (r, J, own, common)))
 
     def change_of_units(
@@ -143,7 +143,7 @@ class ModelErrors:
         """
         own, common = _sum_of_pairs([one.variances(noise) for one in self.scatters])
         parts = [(own[:, self.of_mode], common[:, self.in_common]), *(one.variances(noise) for one in self.modes)]
-        return _joined([part[0] for part in parts], 1), _joined([part[1] for part in parts], 1)
+        return _join([part[0] for part in parts], 1), _join([part[1] for part in parts], 1)
 
     def log_variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of log `variances` with respect to the inferred error sds.
@@ -157,7 +157,7 @@ class ModelErrors:
             for value, slope, k in zip(values, slopes, (self.of_mode, self.in_common), strict=True)
         ]
         parts = [scatter, *(one.log_variance_slopes(noise) for one in self.modes)]
-        return _joined([part[0] for part in parts], 2), _joined([part[1] for part in parts], 2)
+        return _join([part[0] for part in parts], 2), _join([part[1] for part in parts], 2)
 
     def in_hz(
         self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
@@ -227,7 +227,7 @@ class ModelErrors:
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
         of_mode, in_common = (rows.slopes[..., k] * scale[..., k] for k in (self.of_mode, self.in_common))
-        return _joined([of_mode, rows.own], 3), _joined([in_common, rows.common], 3)
+        return _join([of_mode, rows.own], 3), _join([in_common, rows.common], 3)
 
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
@@ -259,7 +259,7 @@ class ModelErrors:
         return np.asarray(found)
 
 
-def _joined(parts: Sequence[FloatArray], axis: int) -> FloatArray:
+def _join(parts: Sequence[FloatArray], axis: int) -> FloatArray:
     """Concatenate arrays along an axis. If only one array is not empty, return it without a copy."""
     filled = [part for part in parts if part.shape[axis]]
     return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
