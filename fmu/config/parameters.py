@@ -283,7 +283,7 @@ class ParameterTable(Uncertain, Target):
 
     def laws(self) -> dict[str, Prior | Law | str]:
         """Return the law of the parameter's dependence on each covariate, keyed by covariate name."""
-        return {name: build_value(how) for name, how in self.slopes.items()}
+        return {name: how if isinstance(how, str) else how.build() for name, how in self.slopes.items()}
 
     def build(self) -> Parameter:
         """Return the parameter described by this table; see `Uncertain.build`."""

@@ -11,7 +11,7 @@ parameters hardly move while the errors are fixed. Three kinds of steps move the
    collapsed Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change in the
    main parameters that would compensate for random errors.
 3. The standard deviations take random walks in the density with the errors marginalised, given the predicted
-modes.
+   modes.
 """
 
 from __future__ import annotations
