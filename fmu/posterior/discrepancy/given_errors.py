@@ -50,7 +50,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
     def __init__(self, of: DiscrepantLikelihood) -> None:
         vars(self).update(vars(of))
         self.of, self._alone = of, None
-        groups, self._place = np.unique(of.group, return_inverse=True)
+        groups, self._first_row, self._place = np.unique(of.group, return_index=True, return_inverse=True)
         self._first, self._n_groups = of.model.n_parameters + len(of.noise), len(groups)
         self._n_own = len(of.errors.of_mode) + sum(one.n_own for one in of.errors.modes)
         n = self._n_groups * self._n_own + of.errors.n_common
@@ -74,8 +74,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return len(self.noise) - len(self.of.noise)
 
     def _join(self, z: FloatArray, w: FloatArray) -> FloatArray:
-        of_groups = z[:, np.unique(self._place, return_index=True)[1]]
-        return np.concatenate([of_groups.reshape(len(z), -1), w], axis=1)
+        return np.concatenate([z[:, self._first_row].reshape(len(z), -1), w], axis=1)
 
     def _split(self, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Split latent errors (n, n_errors) into z of all measured modes, (n, n_modes, P), and w, (n, C)."""

@@ -141,7 +141,9 @@ class ModelErrors:
         The E and F parameters that scatter come first, with variances in units of s². The errors of modes follow.
         `noise` has the inferred standard deviations, shape (n, n_noise).
         """
-        own, common = _sum_of_pairs([one.variances(noise) for one in self.scatters])
+        own, common = (
+            np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True)
+        )
         parts = [(own[:, self.of_mode], common[:, self.in_common]), *(one.variances(noise) for one in self.modes)]
         return _join([part[0] for part in parts], 1), _join([part[1] for part in parts], 1)
 
@@ -150,8 +152,10 @@ class ModelErrors:
 
         Their shapes are (n, n_noise, E + Q) and (n, n_noise, F + C). They are 0 where a variance is 0.
         """
-        values = _sum_of_pairs([one.variances(noise) for one in self.scatters])
-        slopes = _sum_of_pairs([one.variance_slopes(noise) for one in self.scatters])
+        values = (np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True))
+        slopes = (
+            np.asarray(sum(x)) for x in zip(*(one.variance_slopes(noise) for one in self.scatters), strict=True)
+        )
         scatter = [
             slope[..., k] / np.where(value > 0.0, value, 1.0)[:, None, k]
             for value, slope, k in zip(values, slopes, (self.of_mode, self.in_common), strict=True)
@@ -263,13 +267,6 @@ def _join(parts: Sequence[FloatArray], axis: int) -> FloatArray:
     """Concatenate arrays along an axis. If only one array is not empty, return it without a copy."""
     filled = [part for part in parts if part.shape[axis]]
     return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
-
-
-def _sum_of_pairs(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    first, second = pairs[0]
-    for one, other in pairs[1:]:
-        first, second = first + one, second + other
-    return first, second
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -244,10 +244,8 @@ class GibbsKernel(MovesWithErrors):
         bent = new if part is None else np.where(part[:, None], new, z)
         candidate = of.scores.put(theta, bent)
         new_terms = self.terms_at(candidate)
-        n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
-            gain = sum_by_test(new_terms - terms, test, n_tests)
-            gain = gain + of.log_prior(candidate, scales) - of.log_prior(theta, scales)
+            gain = self._gain_of_tests((theta, candidate), (terms, new_terms), scales)
             if part is not None:
                 gain = gain + self._in_time_of_each(candidate) - self._in_time_of_each(theta)
             ratio = gain + log_ratio
@@ -288,8 +286,7 @@ class GibbsKernel(MovesWithErrors):
             candidate = of.scores.put(theta, new)
             there, new_terms = of.approximate_here(candidate, likelihood, scales)
             with np.errstate(invalid="ignore"):
-                gain = sum_by_test(new_terms - terms, test, z.shape[1])
-                gain = gain + of.log_prior(candidate, scales) - of.log_prior(theta, scales)
+                gain = self._gain_of_tests((theta, candidate), (terms, new_terms), scales)
                 back = there.log_density(z, _NU) + there.log_det_factor
                 forth = here.log_density(new, _NU) + here.log_det_factor
                 ratio = gain + np.where(local, back - forth, log_ratio)
@@ -298,6 +295,15 @@ class GibbsKernel(MovesWithErrors):
             terms = np.where(accepted[:, test], new_terms, terms)
             here, moved = there.select(accepted, here), moved + accepted.mean(axis=1) / _LOCAL_MOVES
         return theta, terms, moved
+
+    def _gain_of_tests(
+        self, theta: tuple[FloatArray, FloatArray], terms: tuple[FloatArray, FloatArray], scales: FloatArray
+    ) -> FloatArray:
+        """Return the growth of each test's log-density from the first theta to the second, (chains, n_tests)."""
+        of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
+        (now, new), (terms_now, terms_new) = theta, terms
+        gain = sum_by_test(terms_new - terms_now, test, len(self.problem.tests))
+        return gain + of.log_prior(new, scales) - of.log_prior(now, scales)
 
     def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
         """Return the log-density that correlation in time adds to each test's scores, (chains, n_tests)."""

@@ -154,7 +154,7 @@ class Linear(NamedTuple):
     @property
     def log_det_factor(self) -> FloatArray:
         """Log-determinant of `factor`, the Cholesky factors of the precision matrices, shape (n, n_tests)."""
-        return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
+        return _log_det(self.factor)
 
 
 class Normal(NamedTuple):
@@ -205,7 +205,7 @@ class Normal(NamedTuple):
     @property
     def log_det_factor(self) -> FloatArray:
         """Log-determinant of `factor`, (n, n_tests)."""
-        return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
+        return _log_det(self.factor)
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
         """Return the log-density of each test's straightened scores z, shape (n, n_tests), up to a constant.
@@ -356,3 +356,8 @@ class ScoresGivenMain:
         if self.bend is not None:
             curve = Curve(self.bend, linear.z, np.where(scored, linear.slopes / self.bend.slopes, 1.0))
         return Normal(linear.z + linear.step, linear.factor, scored, curve)
+
+
+def _log_det(factor: FloatArray) -> FloatArray:
+    """Return the log-determinants of triangular matrices (n, n_tests, p, p), shape (n, n_tests)."""
+    return np.asarray(np.log(np.einsum("ntii->nti", factor)).sum(axis=2))
