@@ -170,9 +170,10 @@ class ModalLikelihood(Likelihood):
         """Return residuals (n, n_residuals), over sds of errors, and slopes (n, n_residuals, n_structural)."""
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
-    def terms_and_residuals(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the `terms` and the `residuals_and_slopes` at theta (n, ndim) from the same solves."""
-        seen = self._observed_slopes(theta, None)
+    def terms_and_residuals(
+        self, seen: ModalPrediction, theta: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the `terms` and the `residuals_and_slopes` at theta (n, ndim), given modes with derivatives."""
         return self.terms_of_observed(seen, theta), *self._all_residuals_and_slopes(seen, theta, None)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:

@@ -25,7 +25,8 @@ errors, and step 5 is part of `fmu.samplers.gibbs.errors_of_model`.
 Where precise data leave curved ridges of scores, the approximations of step 2 can be far from the density, and a
 test may have two maxima. Half of the proposals of step 2 then start from the present scores: they are drawn about
 the end of a Gauss–Newton step, with the information of the data at the present scores (Martin, Wilcox, Burstedde &
-Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that a draw costs four solves.
+Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that a draw costs three solves.
+Each solve also gives the derivatives from which the next step starts.
 
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
@@ -54,6 +55,7 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity, scaled_density
 from fmu.samplers.adaptation import DualAveraging
 from fmu.samplers.gibbs.errors_of_model import MovesWithErrors
+from fmu.samplers.gibbs.main_parameters import Fit, fit_to, select_fit
 from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.local import accept
 from fmu.samplers.settings import positive_number
@@ -68,7 +70,7 @@ _WALKS = 0.35
 """Probability that a test's scores are proposed by a random-walk step."""
 _LOCAL_MOVES, _LOCAL = 2, 0.5
 """Number of moves of all scores in a step where the densities of some tests have curved ridges, and the
-probability that such a move proposes the scores of a test by a local step."""
+probability that such a move proposes the scores of one of these tests by a local step."""
 _CURVED = 0.05
 """Smallest curvature of a ridge that local steps follow (`ScoresGivenMain.curvature`)."""
 _SMALLEST = 0.05
@@ -115,14 +117,16 @@ class GibbsSampler(Sampler):
         step_size = np.asarray(_FIRST_STEP if self.step_size is None else self.step_size)
         collapsed = problem.with_layout(problem.layout.remove_centring())
         given = with_errors_as_parameters(problem)
-        follows_ridges = (
-            found.scores.curvature > _CURVED
-            and isinstance(problem.likelihood, ModalLikelihood)
-            and not problem.likelihood.has_discrepancy
+        likelihood, ridges = problem.likelihood, None
+        if (
+            np.max(found.scores.curvature) > _CURVED
+            and isinstance(likelihood, ModalLikelihood)
+            and not likelihood.has_discrepancy
             and problem.layout.in_time is None
             and problem.solves_per_gradient == 1
-        )
-        return GibbsKernel(given, found, metric, step_size, collapsed, scaled, problem, follows_ridges)
+        ):
+            ridges = likelihood
+        return GibbsKernel(given, found, metric, step_size, ridges, collapsed, scaled, problem)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:
         """Return a tuner that learns the step size during warm-up, or None if `step_size` is given."""
@@ -138,13 +142,10 @@ class GibbsKernel(MovesWithErrors):
     scaled : ScaledDensity
     whole : UpdatingProblem
         The problem that is sampled. Unlike those of `problem`, its parameters do not include the model errors.
-    follows_ridges : bool
-        Whether some score proposals start from the present scores.
     """
 
     scaled: ScaledDensity
     whole: UpdatingProblem
-    follows_ridges: bool
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation."""
@@ -153,9 +154,12 @@ class GibbsKernel(MovesWithErrors):
         if self.has_errors:
             log_prob, extra = np.asarray(self.whole.log_prob(theta)), self.likeliest_errors(theta)
             return State(positions, log_prob, extra=extra), Info(none > 0, log_prob, 3 * ones, none)
-        terms = self.problem.terms_of_tests(theta)
-        log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
-        return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
+        if self.ridges is None:
+            fit = {"terms": self.problem.terms_of_tests(theta)}
+        else:
+            fit = self.fit_at(self.problem.layout.standardise_scores(theta))
+        log_prob = fit["terms"].sum(axis=1) + self.problem.log_prior(theta)
+        return State(positions, log_prob, extra=fit), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters together with the scores, then the scores alone, then the populations.
@@ -166,28 +170,32 @@ class GibbsKernel(MovesWithErrors):
         if self.has_errors:
             theta = np.concatenate([theta, state.extra["errors"]], axis=1)
         theta, scales = self._draw_scales(rng, theta)
-        theta, terms, of_dates = self.move_dates(rng, theta, state.extra["terms"], scales)
-        theta, terms, linear, extra = self.move_main(rng, theta, terms, scales)
-        theta, terms, moved, solves = self._move_all_scores(rng, theta, terms, linear, scales)
+        fit = {name: value for name, value in state.extra.items() if name != "errors"}
+        theta, fit, of_dates = self.move_dates(rng, theta, fit, scales)
+        theta, fit, linear, extra = self.move_main(rng, theta, fit, scales)
+        theta, fit, moved, solves = self._move_all_scores(rng, theta, fit, linear, scales)
         solves += len(self.conditionals.events)
         populations = self.conditionals.populations
         if populations.n_blocks:
             found = populations.propose(rng, theta)
             theta = populations.move(theta, found, accept(rng, found.log_ratio))
-        kept = {"terms": terms}
+        terms = fit["terms"]
         if self.has_errors:
-            theta, terms, kept, shifted = self.move_with_errors(rng, theta, terms)
+            theta, terms, fit, shifted = self.move_with_errors(rng, theta, terms)
             extra, solves = {**extra, "main_shifted": shifted}, solves + self.solves_with_errors
         elif len(self.conditionals.noise):
             at = self.collapsed.layout.of_model(theta)
-            theta, terms = self.move_noise(rng, theta, at, self.modal.observed(at), terms)
-            kept, solves = {"terms": terms}, solves + 1
+            seen = self.modal.observed(at, self.ridges is not None)
+            theta, terms = self.move_noise(rng, theta, at, seen, terms)
+            fit, solves = {"terms": terms}, solves + 1
+            if self.ridges is not None:
+                fit = fit_to(self.ridges, seen, self.collapsed.layout.of_model(theta))
         theta = self.problem.layout.restore_scores(theta)
         log_prob = terms.sum(axis=1) + self.whole.log_prior(theta)
         info = Info(
             moved > 0.0, log_prob, solves, np.zeros_like(solves), {"acceptance_rate": moved, **extra, **of_dates}
         )
-        return State(self.scaled.to_scaled(theta), log_prob, extra=kept), info
+        return State(self.scaled.to_scaled(theta), log_prob, extra=fit), info
 
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Draw which tests are outliers, given the scores, and then the fraction of outliers.
@@ -202,19 +210,21 @@ class GibbsKernel(MovesWithErrors):
         return outliers.draw_share(rng, theta, scales), scales
 
     def _move_all_scores(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear, scales: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Move all test scores; return theta, log-likelihood terms, fractions of moved tests, and solve counts.
+        self, rng: np.random.Generator, theta: FloatArray, fit: Fit, linear: Linear, scales: FloatArray
+    ) -> tuple[FloatArray, Fit, FloatArray, IntArray]:
+        """Move all test scores; return theta, the fit there, fractions of moved tests, and solve counts.
 
-        The terms have shape (chains, n_terms); fractions and counts have shape (chains,). The counts include the
-        solve for the main parameters' step. If values are correlated in time, their populations' parameters move
-        too, including the correlation times.
+        Fractions and counts have shape (chains,). The counts include the solve for the main parameters' step. If
+        values are correlated in time, their populations' parameters move too, including the correlation times.
         """
         in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
-        if self.follows_ridges:
-            return *self._move_along_ridges(rng, theta, terms, linear, scales), (2 + _LOCAL_MOVES) * ones
+        if self.ridges is not None:
+            of_ridges = self._move_along_ridges(rng, theta, fit, linear, scales, self.ridges)
+            return *of_ridges, (1 + _LOCAL_MOVES) * ones
+        terms = fit["terms"]
         if in_time is None:
-            return *self._move_scores(rng, theta, terms, linear, scales), 2 * ones
+            theta, terms, moved = self._move_scores(rng, theta, terms, linear, scales)
+            return theta, {"terms": terms}, moved, 2 * ones
         moved = np.zeros(len(theta))
         for part in in_time.parts:
             theta, terms, of_part = self._move_scores(rng, theta, terms, linear, scales, part)
@@ -222,7 +232,7 @@ class GibbsKernel(MovesWithErrors):
         z = self.conditionals.scores.scores.take(theta)
         theta = in_time.draw_times(rng, theta, z, self.problem.parameters)
         theta = move_in_time(rng, theta, self.conditionals.scores.layout, self.problem.parameters)
-        return theta, terms, moved, (1 + len(in_time.parts)) * ones
+        return theta, {"terms": terms}, moved, (1 + len(in_time.parts)) * ones
 
     def _move_scores(
         self,
@@ -243,7 +253,7 @@ class GibbsKernel(MovesWithErrors):
         new, log_ratio = self._propose(rng, z, of.normal_of(linear))
         bent = new if part is None else np.where(part[:, None], new, z)
         candidate = of.scores.put(theta, bent)
-        new_terms = self.terms_at(candidate)
+        new_terms = self.fit_at(candidate)["terms"]
         with np.errstate(invalid="ignore"):
             gain = self._gain_of_tests((theta, candidate), (terms, new_terms), scales)
             if part is not None:
@@ -266,35 +276,42 @@ class GibbsKernel(MovesWithErrors):
         return normal.bend(new), ratio
 
     def _move_along_ridges(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear, scales: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Move the scores of all tests; return theta, the terms, and the shares of moved tests.
+        self,
+        rng: np.random.Generator,
+        theta: FloatArray,
+        fit: Fit,
+        linear: Linear,
+        scales: FloatArray,
+        likelihood: ModalLikelihood,
+    ) -> tuple[FloatArray, Fit, FloatArray]:
+        """Move the scores of all tests; return theta, the fit there, and the fractions of moved tests.
 
-        Some proposals start from the present scores, as the module says.
+        In tests with curved ridges, some proposals start from the present scores; see the module docstring.
         """
-        of, likelihood = self.conditionals.scores, self.problem.likelihood
-        assert isinstance(likelihood, ModalLikelihood)  # as in `bind`
-        test, normal = likelihood.test_of_terms, of.normal_of(linear)
-        here, moved = of.approximate_here(theta, likelihood, scales)[0], np.zeros(len(theta))
+        of, test = self.conditionals.scores, likelihood.test_of_residuals
+        normal = of.normal_of(linear)
+        moved, by_local = np.zeros(len(theta)), np.where(of.curvature > _CURVED, _LOCAL, 0.0)
+        here = of.approximate_here(theta, fit["residuals"], fit["slopes"], test, scales)
         for _ in range(_LOCAL_MOVES):
             z = of.scores.take(theta)
             other, log_ratio = self._propose(rng, z, normal)
-            local = rng.random(z.shape[:2]) < _LOCAL
+            local = rng.random(z.shape[:2]) < by_local
             heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
             step = here.scatter(heavy[..., None] * rng.standard_normal(z.shape) * of.scores.scored)
             new = np.where(local[..., None], here.mean + step, other)
             candidate = of.scores.put(theta, new)
-            there, new_terms = of.approximate_here(candidate, likelihood, scales)
+            new_fit = self.fit_at(candidate)
+            there = of.approximate_here(candidate, new_fit["residuals"], new_fit["slopes"], test, scales)
             with np.errstate(invalid="ignore"):
-                gain = self._gain_of_tests((theta, candidate), (terms, new_terms), scales)
+                gain = self._gain_of_tests((theta, candidate), (fit["terms"], new_fit["terms"]), scales)
                 back = there.log_density(z, _NU) + there.log_det_factor
                 forth = here.log_density(new, _NU) + here.log_det_factor
                 ratio = gain + np.where(local, back - forth, log_ratio)
             accepted = accept(rng, ratio)
             theta = of.scores.put(theta, np.where(accepted[..., None], new, z))
-            terms = np.where(accepted[:, test], new_terms, terms)
+            fit = select_fit(accepted[:, likelihood.test_of_terms], accepted[:, test], new_fit, fit)
             here, moved = there.select(accepted, here), moved + accepted.mean(axis=1) / _LOCAL_MOVES
-        return theta, terms, moved
+        return theta, fit, moved
 
     def _gain_of_tests(
         self, theta: tuple[FloatArray, FloatArray], terms: tuple[FloatArray, FloatArray], scales: FloatArray

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import Conditionals
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear
@@ -65,6 +67,22 @@ class _Target(ExactGradient):
         return value, gradient
 
 
+Fit = dict[str, FloatArray]
+"""How well a point fits the data: log-likelihood ``"terms"`` (chains, n_terms) and, if the sampler follows ridges,
+``"residuals"`` (chains, n_residuals) and their ``"slopes"`` by the tests' values (chains, n_residuals, P)."""
+
+
+def fit_to(likelihood: ModalLikelihood, seen: ModalPrediction, at: FloatArray) -> Fit:
+    """Return the fit of the modes `seen`, predicted with derivatives at the likelihood's parameters `at`."""
+    return dict(zip(("terms", "residuals", "slopes"), likelihood.terms_and_residuals(seen, at), strict=True))
+
+
+def select_fit(of_terms: BoolArray, of_residuals: BoolArray, new: Fit, old: Fit) -> Fit:
+    """Return `new` for the chosen terms and residuals, (chains, n) or (chains, 1), and `old` for the rest."""
+    chosen = {"terms": of_terms, "residuals": of_residuals, "slopes": of_residuals[..., None]}
+    return {name: np.where(chosen[name], new[name], value) for name, value in old.items()}
+
+
 @dataclass(frozen=True)
 class MovesOfMain:
     """Sampling steps for the main parameters of a problem with populations.
@@ -77,12 +95,15 @@ class MovesOfMain:
         Metric of the main parameters' trajectories.
     step_size : ndarray, shape ()
         Step size of these trajectories.
+    ridges : ModalLikelihood, optional
+        The likelihood of `problem` if some score proposals start from the present scores, along curved ridges.
     """
 
     problem: UpdatingProblem
     conditionals: Conditionals
     metric: Metric
     step_size: FloatArray
+    ridges: ModalLikelihood | None
 
     @property
     def _shrink(self) -> float:
@@ -90,13 +111,12 @@ class MovesOfMain:
         return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
 
     def move_main(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
-    ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
+        self, rng: np.random.Generator, theta: FloatArray, fit: Fit, scales: FloatArray
+    ) -> tuple[FloatArray, Fit, Linear, dict[str, AnyArray]]:
         """Move the main parameters along a trajectory, and accept or reject the end point.
 
-        Return theta, the log-likelihood terms (chains, n_terms), the score densities at the new theta, and
-        statistics: the acceptance probability in the approximate density, which tunes the step size, and whether
-        the chain has moved.
+        Return theta, the fit and the score densities there, and statistics: the acceptance probability in the
+        approximate density, which tunes the step size, and whether the chain has moved.
         """
         marginal, given = self.conditionals.marginal, self.conditionals.scores
         target = _Target(marginal, theta, scales)
@@ -116,20 +136,19 @@ class MovesOfMain:
         gain = np.nan_to_num(gain, nan=-np.inf, neginf=-np.inf)
         moved = marginal.theta_at(np.where(end.finished[:, None], end.position, begun.position), theta)
         last = target.linear if np.all(end.finished) else given.linearise(moved, scales)
-        theta, terms, last, accepted = self._decide(rng, theta, terms, moved, (first, last), scales, gain)
+        theta, fit, last, accepted = self._decide(rng, theta, fit, moved, (first, last), scales, gain)
         statistics: dict[str, AnyArray] = {
             "main_acceptance": np.exp(np.minimum(gain, 0.0)),
             "main_accepted": accepted,
         }
-        return theta, terms, last, statistics
+        return theta, fit, last, statistics
 
     def move_dates(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
-    ) -> tuple[FloatArray, FloatArray, dict[str, AnyArray]]:
+        self, rng: np.random.Generator, theta: FloatArray, fit: Fit, scales: FloatArray
+    ) -> tuple[FloatArray, Fit, dict[str, AnyArray]]:
         """Propose new dates and losses of each sudden event, and accept or reject them after a solve of all tests.
 
-        Return theta, the log-likelihood terms (chains, n_terms) and statistics, which are empty if there are no
-        events.
+        Return theta, the fit there, and statistics, which are empty if there are no events.
         """
         given, shares = self.conditionals.scores, []
         for event in self.conditionals.events:
@@ -139,20 +158,20 @@ class MovesOfMain:
                 given.log_evidence(one).sum(axis=1) + event.log_prior(at)
                 for one, at in zip(both, (theta, moved), strict=True)
             )
-            theta, terms, _, accepted = self._decide(rng, theta, terms, moved, both, scales, gain + new - now)
+            theta, fit, _, accepted = self._decide(rng, theta, fit, moved, both, scales, gain + new - now)
             shares.append(accepted)
-        return theta, terms, {"dates_accepted": np.mean(shares, axis=0)} if shares else {}
+        return theta, fit, {"dates_accepted": np.mean(shares, axis=0)} if shares else {}
 
     def _decide(
         self,
         rng: np.random.Generator,
         theta: FloatArray,
-        terms: FloatArray,
+        fit: Fit,
         moved: FloatArray,
         linear: tuple[Linear, Linear],
         scales: FloatArray,
         gain: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, Linear, BoolArray]:
+    ) -> tuple[FloatArray, Fit, Linear, BoolArray]:
         """Accept or reject the main parameters of `moved` (chains, ndim) after a solve of all tests.
 
         The scores move with the main parameters.
@@ -166,7 +185,8 @@ class MovesOfMain:
 
         Returns
         -------
-        theta, terms : ndarray
+        theta : ndarray
+        fit : dict
         last : Linear
             Score densities at the returned theta.
         accepted : ndarray of bool, shape (chains,)
@@ -174,7 +194,7 @@ class MovesOfMain:
         given = self.conditionals.scores
         before, after = (given.normal_of(one) for one in linear)
         candidate = given.scores.put(moved, after.restore(before.standardise(given.scores.take(theta))))
-        new_terms = self.terms_at(candidate)
+        new_fit = self.fit_at(candidate)
         error = [
             given.log_prior(at, scales) - one.log_det_factor - given.log_evidence(one)
             for at, one in zip((theta, candidate), linear, strict=True)
@@ -184,15 +204,19 @@ class MovesOfMain:
             now, new = (in_time.log_density(at, given.scores.take(at))[0] for at in (theta, candidate))
             error[1] = error[1] + new - now
         with np.errstate(invalid="ignore"):
-            ratio = gain + (new_terms - terms).sum(axis=1) + (error[1] - error[0]).sum(axis=1)
+            ratio = gain + (new_fit["terms"] - fit["terms"]).sum(axis=1) + (error[1] - error[0]).sum(axis=1)
         accepted = accept(rng, ratio)
         chosen, last = accepted[:, None], linear[1].select(accepted, linear[0])
-        return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, accepted
+        return np.where(chosen, candidate, theta), select_fit(chosen, chosen, new_fit, fit), last, accepted
 
-    def terms_at(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standardised test scores."""
-        layout = self.conditionals.scores.layout
-        terms = self.problem.likelihood.terms(layout.of_model(theta))
-        if np.count_nonzero(np.isfinite(terms)) == terms.size:
-            return terms
-        return self.problem.terms_of_tests(self.problem.layout.restore_scores(theta))  # records the failures
+    def fit_at(self, theta: FloatArray) -> Fit:
+        """Return the fit at theta, (chains, ndim), with standardised test scores, from one solve of all tests."""
+        at, ridges = self.conditionals.scores.layout.of_model(theta), self.ridges
+        if ridges is None:
+            fit = {"terms": self.problem.likelihood.terms(at)}
+        else:
+            fit = fit_to(ridges, ridges.observed(at, True), at)
+        if np.count_nonzero(np.isfinite(fit["terms"])) == fit["terms"].size:
+            return fit
+        terms = self.problem.terms_of_tests(self.problem.layout.restore_scores(theta))  # records the failures
+        return {**fit, "terms": terms}

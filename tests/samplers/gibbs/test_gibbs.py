@@ -1,12 +1,16 @@
 """Gibbs sampling of populations over several tests: the right posterior, at two solves a draw."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
+from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 
 import fmu
 from fmu.analysis.convergence.rank_statistics import chain_ess
+from fmu.posterior.joint.conditional.both import scatter_about_typical
 from fmu.posterior.joint.conditional.scores import REGULAR
 from fmu.posterior.joint.varies.base import sum_by_test
 from tests.posterior.joint.conditional.test_conditional_densities import campaign
@@ -211,7 +215,7 @@ def test_scores_with_two_solutions_have_their_density():
         pairing="index",
     )
     kernel, rng = fmu.GibbsSampler(step_size=0.4).bind(problem), np.random.default_rng(7)
-    assert kernel.follows_ridges
+    assert kernel.ridges is not None
     of = kernel.conditionals.scores
     theta = np.repeat(kernel.conditionals.typical, 300, axis=0)
     theta[:, :4] = 2.2, 0.1, 1.1, 0.1  # medians and standard deviations, between the two solutions
@@ -225,14 +229,30 @@ def test_scores_with_two_solutions_have_their_density():
         return np.stack([ratio < 0.0, np.abs(ratio)], axis=-1)
 
     expected = np.einsum("gt,gq->tq", weight / weight.sum(axis=0), side_and_distance(k[:, 0]))
-    kept, terms, linear = [], problem.likelihood.terms(of.layout.of_model(theta)), of.linearise(theta)
+    kept, fit, linear = [], kernel.fit_at(theta), of.linearise(theta)
     for step in range(60):
-        theta, terms, _ = kernel._move_along_ridges(rng, theta, terms, linear, REGULAR)
+        theta, fit, _ = kernel._move_along_ridges(rng, theta, fit, linear, REGULAR, kernel.ridges)
         if step >= 20:
             kept.append(side_and_distance(of.layout.values(theta[:, : problem.n_structural])))
     found = np.mean(kept, axis=0)
     assert np.all(np.abs(found.mean(axis=0) - expected) < 4.5 * found.std(axis=0) / np.sqrt(len(theta)))
     assert np.all(found[..., 0].std(axis=0) < 0.3)  # 0.5 if every chain keeps to one solution
+
+
+@pytest.mark.parametrize("noise", [0.01, fmu.Parameter("noise", 0.01, 0.002, 0.1, prior=fmu.HalfNormal(0.02))])
+def test_the_kept_residuals_and_slopes_are_those_of_the_new_point(noise):
+    problem = campaign("log-normal", noise=noise, bounds=(0.2, 5.0))
+    kernel = fmu.GibbsSampler(step_size=0.4).bind(problem)
+    kernel, rng = replace(kernel, ridges=problem.likelihood), np.random.default_rng(5)
+    state = kernel.init(kernel.scaled.to_scaled(scatter_about_typical(problem, rng, 3, 1.0)))[0]
+    for _ in range(3):
+        before = state.extra
+        state, info = kernel.step(rng, state)
+        assert np.all(info.n_solves == 3 + isinstance(noise, fmu.Parameter))
+    assert np.all(before["residuals"] != state.extra["residuals"])
+    expected = kernel.fit_at(problem.layout.standardise_scores(kernel.scaled.to_theta(state.position)))
+    for name, values in expected.items():
+        assert_allclose(state.extra[name], values, rtol=1e-6, atol=1e-6 * np.max(np.abs(values)), err_msg=name)
 
 
 def test_a_test_with_a_known_parameter_has_scores_of_the_right_width():

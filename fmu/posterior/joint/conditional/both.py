@@ -240,6 +240,6 @@ def _bend(
     at = straight.scores.put(theta, normal.mean)[:, : len(plain.layout.parameters)]
     slopes = np.stack([one.slope(at)[0] for one in straight.scores.every], axis=1)
     found = find_bend(gradient, normal.mean[0], precision, np.where(normal.scored, slopes, 1.0))
-    curvature = float(np.max(np.abs(found.curvature)))
-    bend = found if np.isfinite(curvature) and curvature > _BENT else None
+    curvature = np.max(np.abs(found.curvature), axis=(1, 2, 3))
+    bend = found if np.isfinite(curvature).all() and np.max(curvature) > _BENT else None
     return ScoresGivenMain(straight.layout, straight.expansion, bend, curvature)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.bend import Bend, Curve
 from fmu.posterior.joint.conditional.expansion import Expansion
 from fmu.posterior.joint.layout import Layout
@@ -25,6 +24,8 @@ _FAR = 6.0
 """Largest absolute score at an expansion point, in population standard deviations."""
 REGULAR: FloatArray = np.ones((1, 1, 1))
 """Prior standard deviations of the scores without outliers."""
+_STRAIGHT: FloatArray = np.zeros(1)
+"""Curvature of straight ridges."""
 _INSIDE = 1e-9
 """Smallest distance between an expansion point and a bound, relative to the distance between the bounds."""
 
@@ -230,12 +231,12 @@ class ScoresGivenMain:
     expansion : Expansion
     bend : Bend, optional
         Parabolas along which the score densities are curved; if it is None, the ridges are straight.
-    curvature : float
-        Largest coefficient of the parabolas over all tests. It is known even if `bend` is None.
+    curvature : ndarray, shape (n_tests,) or (1,)
+        Largest coefficient of each test's parabolas. It is known even if `bend` is None.
     """
 
     def __init__(
-        self, layout: Layout, expansion: Expansion, bend: Bend | None = None, curvature: float = 0.0
+        self, layout: Layout, expansion: Expansion, bend: Bend | None = None, curvature: FloatArray = _STRAIGHT
     ) -> None:
         self.layout, self.expansion, self.scores = layout, expansion, Scores.of(layout)
         self.bend, self.curvature = bend, curvature
@@ -297,17 +298,25 @@ class ScoresGivenMain:
         return found if scales is REGULAR else found / (scales[..., :, None] * scales[..., None, :])
 
     def approximate_here(
-        self, theta: FloatArray, likelihood: ModalLikelihood, scales: FloatArray = REGULAR
-    ) -> tuple[Normal, FloatArray]:
+        self, theta: FloatArray, r: FloatArray, J: FloatArray, test: IntArray, scales: FloatArray = REGULAR
+    ) -> Normal:
         """Return the normal approximations with the gradients of the densities at the scores of theta, (n, ndim).
 
-        The mean is where a Gauss–Newton step from these scores leads. The terms of the likelihood, (n, n_terms),
-        come from the same solve. A test whose solve failed has standard normal distributions about its scores.
-        `scales` is as in `Linear`.
+        The mean is where a Gauss–Newton step from these scores leads. In a test whose solve failed, the
+        approximation is a standard normal distribution about the scores.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, ndim)
+        r, J : ndarray, shapes (n, n_residuals) and (n, n_residuals, n_structural)
+            Residuals at theta, over standard deviations, and their derivatives by the values in their tests.
+        test : ndarray of int, shape (n_residuals,)
+            Index of each residual's test.
+        scales : ndarray
+            As in `Linear`.
         """
         of, z, own = self.scores, self.scores.take(theta), theta[:, : len(self.layout.parameters)]
-        terms, r, J = likelihood.terms_and_residuals(self.layout.of_model(theta))
-        test, n_tests = likelihood.test_of_residuals, z.shape[1]
+        n_tests = z.shape[1]
         slopes = np.where(of.scored, np.stack([one.slope(own) for one in of.every], axis=2), 0.0)
         J = J[..., of.parameters] * slopes[:, test]
         precision = sum_by_test(J[..., :, None] * J[..., None, :], test, n_tests)
@@ -317,7 +326,7 @@ class ScoresGivenMain:
         finite = np.isfinite(gradient).all(axis=2) & np.isfinite(precision).all(axis=(2, 3))
         precision = np.where(finite[..., None, None], precision, np.eye(z.shape[2]))
         step = np.linalg.solve(precision, np.where(finite[..., None], gradient, 0.0)[..., None])[..., 0]
-        return Normal(z + step, np.linalg.cholesky(precision), of.scored, None), terms
+        return Normal(z + step, np.linalg.cholesky(precision), of.scored, None)
 
     def log_evidence(self, linear: Linear) -> FloatArray:
         """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.
