@@ -16,6 +16,8 @@ their scores, and then the share of outliers. The rest of the step is conditiona
    time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks, alone
    given the scores, and jointly with its population given the values (`fmu.posterior.joint.conditional.in_time`).
 4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
+   Populations that are correlated, or for which there are no such proposals, also take random walks
+   (`fmu.posterior.joint.conditional.walks`).
 5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
    for once more.
 
@@ -179,6 +181,8 @@ class GibbsKernel(MovesWithErrors):
         if populations.n_blocks:
             found = populations.propose(rng, theta)
             theta = populations.move(theta, found, accept(rng, found.log_ratio))
+        if self.conditionals.walks is not None:
+            theta = self.conditionals.walks.move(rng, theta)
         terms = fit["terms"]
         if self.has_errors:
             theta, terms, fit, shifted = self.move_with_errors(rng, theta, terms)

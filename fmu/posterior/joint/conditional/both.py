@@ -18,6 +18,7 @@ from fmu.posterior.joint.conditional.given_values import PopulationsGivenValues
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.regression import FittedNormal, fit_normal, reflect
 from fmu.posterior.joint.conditional.scores import REGULAR, Scores, ScoresGivenMain
+from fmu.posterior.joint.conditional.walks import WalksGivenValues
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
@@ -55,6 +56,8 @@ class Conditionals(NamedTuple):
     noise_prior : JointPrior
         Prior of the error sds.
     populations : PopulationsGivenValues
+    walks : WalksGivenValues, optional
+        Steps for populations that are correlated, or for which `populations` has no candidates.
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
@@ -71,6 +74,7 @@ class Conditionals(NamedTuple):
     sizes: FloatArray
     noise_prior: JointPrior
     populations: PopulationsGivenValues
+    walks: WalksGivenValues | None
     events: tuple[DateOfEvent, ...]
     typical: FloatArray
     scales: FloatArray
@@ -174,9 +178,12 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)
     noise_prior = JointPrior(problem.parameters[problem.n_structural :])
     populations = PopulationsGivenValues(plain.layout, problem.parameters)
+    walks, drawn = None, plain.layout.drawn
+    if populations.n_blocks < len(drawn) and all(one.in_time is None for one in drawn):
+        walks = WalksGivenValues(plain.layout, problem.parameters)
     events = undated_events(plain.layout, problem.parameters, theta[0])
     return Conditionals(
-        scores, marginal, normal, noise, by_errors, sizes, noise_prior, populations, events, theta, scales
+        scores, marginal, normal, noise, by_errors, sizes, noise_prior, populations, walks, events, theta, scales
     )
 
 

@@ -29,6 +29,8 @@ def campaign(
     noise=0.01,
     bounds=(0.75, 1.5),
     sd_by_group=False,
+    outliers=None,
+    sd=None,
 ):
     """Return the problem of seven tests of three storeys whose stiffnesses scatter by 5 % and bounds are near."""
     rng = np.random.default_rng(2)
@@ -44,10 +46,11 @@ def campaign(
         tests,
         [fmu.Parameter(name, 1.0, *bounds) for name in NAMES],
         varies={
-            name: fmu.Population(distribution, sd_by_group=sd_by_group) for name in NAMES if name not in shared
+            name: fmu.Population(distribution, sd, sd_by_group=sd_by_group) for name in NAMES if name not in shared
         },
         slopes={name: {"temperature": fmu.Normal(0.01)} for name in slopes},
         correlation=correlation,
+        outliers=outliers,
         error=fmu.FrequencyErrors("relative", sd=noise),
     )
 
