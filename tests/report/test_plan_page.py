@@ -186,7 +186,7 @@ def of_damage(folder, name, *changes):
 
 
 def test_the_next_test_after_several_is_planned_for_a_decision_about_damage(folder):
-    file = of_damage(folder, "damage.toml")
+    file = of_damage(folder, "damage.toml", ("modes = 3", "modes = 3\nfrequency_sd = 0.005"))
     found = CliRunner().invoke(main, ["plan", file, "--draws", "4", "--out", str(folder / "damage")])
     assert found.exit_code == 0, found.output
     assert "The probability that E column has lost more than 10 %" in " ".join(found.output.split())

@@ -22,6 +22,7 @@ from fmu.analysis.plan.sensors.choice import Limits, choose
 from fmu.analysis.plan.sensors.information import Readings
 from fmu.analysis.plan.targets import Decision, Target, damage_in, target_of, without_the_unneeded
 from fmu.analysis.trace.densities import is_updating
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.arguments import ArgumentError, Count, Place, Seed, check_arguments
 from fmu.fem.modes.changes import Change
 from fmu.posterior.data.modal_data import ModalData
@@ -97,7 +98,8 @@ def plan(
         Number of modes to measure, starting from the lowest elastic mode that the candidates see; or the mode
         numbers, from 1, among all elastic modes. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
-        Relative standard deviation of the frequencies in one test. Defaults to the problem's, or to 0.005.
+        Relative standard deviation of the frequencies in one test. Defaults to those of the problem's frequency
+        errors, or to their median if the number of modes is another; to 0.005 without frequency errors.
     shape_sd : float
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     drift : float
@@ -139,7 +141,9 @@ def plan(
     test = linearise(before, wishes)
     there, at = test.candidates, before.at(test.found.kept)
     rows = target_of(target, at)
-    sd = _frequency_sd(before.data, frequency_sd, len(test.modes))
+    if frequency_sd is None:
+        frequency_sd = _frequency_sd(problem, trace, before.test, len(test.modes))
+    sd = _per_mode(frequency_sd, len(test.modes))
     scaled = None if rows is None else rows @ before.scale
     design = Design(before.parameters, before.scale, test.found, there, test.modes, sd, shape_sd, scaled)
     limits = there.limits(sensors, np.inf if budget is None else budget, test.places, min_distance)
@@ -213,20 +217,35 @@ def _modes(data: ModalData, modes: int | Sequence[int] | None) -> int | tuple[in
     return found
 
 
-def _frequency_sd(data: ModalData, given: ArrayLike | None, n_modes: int) -> FloatArray:
+def _frequency_sd(
+    problem: UpdatingProblem, trace: xr.DataTree | None, test: int, n_modes: int
+) -> FloatArray | float:
+    """Return the relative standard deviations of the frequencies in a test of the problem, (n_modes,).
+
+    If that test has another number of modes, return their median; without frequency errors, return `FREQUENCY_SD`.
+    Inferred standard deviations have their posterior means or, without a run, their starting values.
+    """
+    term, n = problem.likelihood.frequency_term, problem.n_structural
+    if term is None:
+        return FREQUENCY_SD
+    theta = problem.start if trace is None else parameter_draws(trace).mean(axis=(0, 1))
+    noise = theta[None, n : n + problem.likelihood.n_noise]
+    measured = np.concatenate([one.data.frequencies_hz for one in problem.tests])
+    every = term.given_others(measured[None], noise)[1][0] / measured
+    sd = np.asarray(every[problem.model.test_of_modes == test])
+    return sd if len(sd) == n_modes else float(np.median(sd))
+
+
+def _per_mode(given: ArrayLike, n_modes: int) -> FloatArray:
     """Return the relative standard deviations of the frequencies, (n_modes,).
 
     Raise ValueError if `given` does not have one value, or one per mode.
     """
-    if given is not None:
-        try:
-            return np.broadcast_to(np.asarray(given, dtype=float), (n_modes,)).copy()
-        except ValueError:
-            rule = f"must be a number or {n_modes} numbers, one per mode"
-            raise ArgumentError("frequency_sd", rule, np.shape(given)) from None
-    if data.sd_hz is None or data.n_modes != n_modes:
-        return np.full(n_modes, FREQUENCY_SD)
-    return np.asarray(data.sd_hz) / np.asarray(data.frequencies_hz)
+    try:
+        return np.broadcast_to(np.asarray(given, dtype=float), (n_modes,)).copy()
+    except ValueError:
+        rule = f"must be a number or {n_modes} numbers, one per mode"
+        raise ArgumentError("frequency_sd", rule, np.shape(given)) from None
 
 
 def _usual_choices(design: Design, limits: Limits, energy: FloatArray | None) -> dict[str, tuple[int, ...]]:

@@ -58,6 +58,27 @@ def test_expected_sds_are_those_of_the_linearised_posterior(planned, tower):
     np.testing.assert_allclose(planned.parameters()["after"], expected, rtol=0.1)
 
 
+@pytest.mark.parametrize(
+    "error", [fmu.FrequencyErrors("relative", sd=0.02), fmu.FrequencyErrors("eigenvalue", sd=0.04)]
+)
+def test_the_expected_sds_of_frequencies_are_those_of_the_problem(tower, error):
+    problem = fmu.UpdatingProblem(
+        tower.model, fmu.ModalData(tower.data.frequencies_hz), tower.parameters, error=error
+    )
+    np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, 0.02, rtol=1e-12)
+    np.testing.assert_allclose(fmu.plan(problem, 2, draws=2, modes=2).frequency_sd, 0.02, rtol=1e-12)
+
+
+def test_an_inferred_sd_of_frequencies_has_its_starting_value_before_a_run(tower):
+    noise = fmu.Parameter("noise", 0.03, 0.001, 0.2)
+    error = fmu.FrequencyErrors("relative", sd=noise)
+    problem = fmu.UpdatingProblem(tower.model, tower.data, tower.parameters, error=error)
+    np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, 0.03, rtol=1e-12)
+    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2)
+    expected = float(np.mean(trace["posterior"]["noise"]))
+    np.testing.assert_allclose(fmu.plan(problem, 2, draws=2, trace=trace).frequency_sd, expected, rtol=1e-12)
+
+
 def test_a_prediction_as_target_is_its_combination_of_parameters(tower):
     by_names = fmu.plan(tower, 2, draws=4, target={"k1": 1.0, "k3": 2.0})
     by_function = fmu.plan(tower, 2, draws=4, target=lambda theta: theta[:, 0] + 2.0 * theta[:, 2])
