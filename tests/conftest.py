@@ -3,6 +3,7 @@
 import gc
 import math
 import os
+import signal
 
 import pytest
 from threadpoolctl import threadpool_limits
@@ -44,6 +45,19 @@ def pytest_xdist_make_scheduler(config, log):
 def _one_blas_thread():
     with threadpool_limits(1):
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _ctrl_c_ends_programs():
+    """Take Ctrl-C (SIGINT) also where a shell runs pytest in the background, with SIGINT ignored.
+
+    Programs that tests start would ignore it too, and run to their end instead of stopping.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

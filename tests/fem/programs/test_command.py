@@ -358,7 +358,7 @@ def test_a_program_ends_with_the_process_that_runs_it(tmp_path, script, by):
     pids = [int(pid) for pid in (tmp_path / "pids").read_text().split()]
     assert all(map(alive, pids))
     parent.send_signal(getattr(signal, by))
-    parent.wait()
+    parent.wait(timeout=30.0)  # half of what the program takes by itself
     assert gone(pids)
 
 
