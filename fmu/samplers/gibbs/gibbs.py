@@ -16,7 +16,7 @@ their scores, and then the share of outliers. The rest of the step is conditiona
    time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks, alone
    given the scores, and jointly with its population given the values (`fmu.posterior.joint.conditional.in_time`).
 4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
-   Populations that are correlated, or for which there are no such proposals, also take random walks
+   If there are none for a population, or they would rarely be accepted, all populations also take random walks
    (`fmu.posterior.joint.conditional.walks`).
 5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
    for once more.

@@ -31,7 +31,9 @@ _BENT = 0.1
 _DRAWS = 400
 """Number of draws whose mean is the second typical point."""
 _FARTHEST = 1.5
-"""Largest loss of log-density at scattered points, per squared typical distance: 0.5 for a normal density."""
+"""Largest loss of log-density at scattered points, per squared typical distance. A normal density has 0.5."""
+_RARELY = 0.5
+"""Smallest acceptance rate of candidates for populations given the values that needs no random walks beside them."""
 _CLIMBED = 0.01
 """Largest increase of the log-density that is left in the search for the most probable scores."""
 
@@ -57,7 +59,7 @@ class Conditionals(NamedTuple):
         Prior of the error sds.
     populations : PopulationsGivenValues
     walks : WalksGivenValues, optional
-        Steps for populations that are correlated, or for which `populations` has no candidates.
+        Steps for all populations, if the candidates of `populations` are missing or rarely accepted for some.
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
@@ -178,13 +180,30 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)
     noise_prior = JointPrior(problem.parameters[problem.n_structural :])
     populations = PopulationsGivenValues(plain.layout, problem.parameters)
-    walks, drawn = None, plain.layout.drawn
-    if populations.n_blocks < len(drawn) and all(one.in_time is None for one in drawn):
-        walks = WalksGivenValues(plain.layout, problem.parameters)
+    walks = None
+    if all(one.in_time is None for one in plain.layout.drawn):
+        main = marginal.theta_at(normal.draws(_DRAWS, marginal.lower, marginal.upper), np.repeat(theta, _DRAWS, 0))
+        if _acceptance(populations, scores, main, scales) < _RARELY:
+            walks = WalksGivenValues(plain.layout, problem.parameters)
     events = undated_events(plain.layout, problem.parameters, theta[0])
     return Conditionals(
         scores, marginal, normal, noise, by_errors, sizes, noise_prior, populations, walks, events, theta, scales
     )
+
+
+def _acceptance(
+    populations: PopulationsGivenValues, scores: ScoresGivenMain, theta: FloatArray, scales: FloatArray
+) -> float:
+    """Return the smallest acceptance rate of the populations' candidates at the main parameters theta, (n, ndim).
+
+    It is zero if a population has no candidates.
+    """
+    if populations.n_populations < len(scores.layout.drawn):
+        return 0.0
+    rng, normal = np.random.default_rng(2), scores.approximate(theta, scales)
+    z = normal.bend(normal.mean + normal.scatter(rng.standard_normal(normal.mean.shape) * normal.scored))
+    log_ratio = populations.propose(rng, scores.scores.put(theta, z)).log_ratio
+    return float(np.exp(np.minimum(log_ratio, 0.0)).mean(axis=0).min())
 
 
 def _given_errors(plain: UpdatingProblem) -> LikelihoodGivenErrors:

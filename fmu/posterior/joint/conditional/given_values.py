@@ -68,13 +68,13 @@ class PopulationsGivenValues:
 
     Attributes
     ----------
-    n_blocks : int
-        Number of blocks; zero if no population is suitable.
+    n_blocks, n_populations : int
+        Numbers of blocks and of populations in them; zero if no population is suitable.
     """
 
     def __init__(self, layout: Layout, parameters: Sequence[Parameter]) -> None:
         blocks = _blocks(layout)
-        self.n_blocks = len(blocks)
+        self.n_blocks, self.n_populations = len(blocks), sum(map(len, blocks))
         if not blocks:
             return
         p, drawn = len(blocks[0]), [one for block in blocks for one in block]

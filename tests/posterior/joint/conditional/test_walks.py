@@ -41,7 +41,8 @@ def test_the_prior_is_left_as_it_is(settings):
             assert abs(np.mean(change)) < 4.5 * np.std(change) / np.sqrt(n), plain.names[k]
 
 
-def test_only_populations_without_other_candidates_take_them():
+def test_populations_with_other_candidates_take_none_unless_these_are_rarely_accepted():
     assert conditionals(campaign("log-normal", bounds=(0.2, 5.0))).walks is None
+    assert conditionals(campaign("log-normal", bounds=(0.7, 1.6))).walks is not None
     assert conditionals(campaign(correlation=1.0)).walks is not None
     assert conditionals(campaign(sd_by_group=True)).walks is not None
