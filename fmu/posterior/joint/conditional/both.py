@@ -31,9 +31,9 @@ _BENT = 0.1
 _DRAWS = 400
 """Number of draws whose mean is the second typical point."""
 _FARTHEST = 1.5
-"""Largest loss of log-density at scattered points, per squared typical distance. A normal density has 0.5."""
+"""Largest loss of log-density at scattered points, per squared typical distance: 0.5 for a normal density."""
 _RARELY = 0.5
-"""Smallest acceptance rate of candidates for populations given the values that needs no random walks beside them."""
+"""Acceptance rate of candidates given the values below which populations also take random walks."""
 _CLIMBED = 0.01
 """Largest increase of the log-density that is left in the search for the most probable scores."""
 
