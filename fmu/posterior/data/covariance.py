@@ -59,7 +59,7 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
 def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
     """Return the weights of `n` modes, shape (n,); 1 for each mode if `weights` is None.
 
-    Raise ValueError unless all weights are positive.
+    Raise ValueError unless there are n weights, all positive and finite.
     """
     if weights is None:
         return np.ones(n)

@@ -37,7 +37,8 @@ def expected_modes(
     frequency_sd : float
         Relative standard deviation of the frequency measurement errors.
     sensors : sequence of (place, direction)
-        For a user's function: the sensors for which it returns shapes, in the order of their rows.
+        For a user's function: the sensors for which it returns shapes, in the order of their rows. Ignored for a
+        SeparableModel.
 
     Returns
     -------

@@ -46,12 +46,10 @@ class FRFData:
     frequencies_hz : ndarray, shape (n_lines,)
         Line frequencies in ascending order. They need not be evenly spaced. A line at 0 Hz is dropped.
     values : ndarray of complex, shape (n_frfs, n_lines)
-        One FRF per row. NaN and 0 stand for missing values, which are not used.
-    drives : tuple of (place, direction)
-        Node and direction of the force in each FRF. The direction is x, y, z, rx, ry or rz, with or without a
-        minus.
-    responses : tuple of (place, direction)
-        Node and direction of the response in each FRF.
+        One FRF per row. Missing values, which are not used, are NaN or 0 (afterwards NaN).
+    drives, responses : tuple of (place, direction)
+        Node and direction of the force, and of the response, in each FRF. The direction is x, y, z, rx, ry or rz,
+        with or without a minus.
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
         Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
         converted to its reciprocal, the receptance. This is correct if it is the quotient of one force and one
@@ -62,7 +60,7 @@ class FRFData:
     coherence : ndarray, shape (n_frfs, n_lines), optional
         Ordinary coherence γ², from 0 to 1. If `sd` is not given, the standard deviations of the real and imaginary
         parts are |H| √((1 − γ²)/(2 γ² n)) with n = `averages` (Bendat & Piersol 2010, *Random Data*, 4th ed.,
-        section 9.2.4).
+        section 9.2.4). Values with a coherence of 0, 1 or NaN are then not used.
     averages : float, optional
         Number n of independent averages behind the coherence.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
@@ -78,8 +76,8 @@ class FRFData:
     ------
     ValueError
         If the shapes differ, the frequencies do not ascend, an FRF has no values, two FRFs have the same points,
-        an sd is negative, a coherence is not from 0 to 1, only one of `coherence` and `averages` is given, or no
-        line is used.
+        an sd is negative or infinite, a coherence is not from 0 to 1, only one of `coherence` and `averages` is
+        given, the band is empty, or no line is used.
     """
 
     frequencies_hz: ArrayLike
@@ -162,7 +160,7 @@ class FRFData:
         ----------
         frequencies_hz : array_like, shape (n_lines,)
         values : array_like of complex, shape (n_hits, n_frfs, n_lines)
-            The FRFs of each hit; NaN where a hit failed. A line needs values from at least two hits.
+            The FRFs of each hit; NaN or 0 where a hit failed. Values from fewer than two hits are not used.
         drives, responses, kind
             The class attributes with these names.
         **options
@@ -171,7 +169,7 @@ class FRFData:
         Raises
         ------
         ValueError
-            If there are fewer than two hits, or the arguments of the class are invalid.
+            If no value has two hits, the hits are equal, or the arguments of the class are invalid.
         """
         mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
         averaged: FRFKind = "receptance" if kind == "dynamic-stiffness" else kind
@@ -206,8 +204,7 @@ class FRFData:
             One long record, N; or one record per hit, from before the hit until the response has decayed.
         response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
             Displacements (m), velocities (m/s) or accelerations (m/s²), depending on `kind`.
-        sampling_hz : float
-            Sampling rate, Hz.
+        sampling_hz : float, Hz
         drives, responses, kind
             The class attributes with these names; all drives must be equal. Dynamic stiffness is not possible.
         estimator : {"H1", "H2"}
@@ -223,7 +220,8 @@ class FRFData:
         Raises
         ------
         ValueError
-            If the shapes differ, a record is too short or not finite, or there are fewer than two averages.
+            If the shapes or drives differ, a record is too short or not finite, the window is unknown, there is
+            only one segment, or the arguments of the class are invalid.
         """
         if kind == "dynamic-stiffness":
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
@@ -265,10 +263,7 @@ class FRFData:
     def standard_deviation(self) -> FloatArray:
         """Standard deviation of the real part, and of the imaginary part, shape (n_frfs, n_lines), SI units.
 
-        Raises
-        ------
-        ValueError
-            If neither `sd` nor `coherence` was given.
+        Raise ValueError if neither `sd` nor `coherence` was given.
         """
         if self._sd is None:
             advice = "; give coherence and averages instead, use FRFData.from_hits, or infer the sd"
@@ -277,7 +272,7 @@ class FRFData:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom with which each sd was estimated. It is infinite if `sd` was given without `hits`."""
+        """Degrees of freedom with which each sd was estimated; infinite unless hits or a coherence gave it."""
         if self.hits is not None:
             return 2.0 * (self.hits - 1)
         return 2.0 * (self.averages - 1.0) if self.sd is None and self.averages is not None else np.inf
@@ -321,12 +316,15 @@ class FRFData:
 
     @check_arguments
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
-        """Return the FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is True."""
+        """Return the FRFs with the values not used where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
+
+        Raise ValueError if the mask is not boolean, has another shape, or leaves no line.
+        """
         left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
         return replace(self, use=self._chosen & ~left_out, band=None)
 
     def as_receptance(self) -> Receptance:
-        """Return the receptances H/(iω)^k, where k is `power`, and their standard deviations."""
+        """Return the receptances H/(iω)^k, where k is `power`, and their standard deviations (None if unknown)."""
         omega = 2.0 * np.pi * np.asarray(self.frequencies_hz)
         values = np.asarray(self.values) / (1j * omega) ** self.power
         return Receptance(values, None if self._sd is None else self._sd / omega**self.power)
@@ -354,8 +352,7 @@ class FRFData:
     ) -> IdentifiedModes:
         """Identify modes from the FRFs with one reference: frequencies and shapes as `fmu.ModalData`, and damping.
 
-        sdypy-EMA fits the modes at the resonances of `pick_frequencies`; see
-        `fmu.posterior.data.frf.identification`.
+        sdypy-EMA fits the modes at the resonances of `pick_frequencies` (`fmu.posterior.data.frf.identification`).
 
         Parameters
         ----------
@@ -370,7 +367,8 @@ class FRFData:
         Raises
         ------
         ValueError
-            If the lines are not evenly spaced, there is no stable pole, or a shape is too complex.
+            If the lines are too few or not evenly spaced, no FRF has the reference, there is no resonance or no
+            stable pole, or a shape is too complex.
         ImportError
             If sdypy-EMA is not installed: install fmu[ema].
         """
@@ -380,7 +378,8 @@ class FRFData:
         """Return warnings that the FRFs may have the wrong kind, polarity or position, one sentence each.
 
         The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
-        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that an sd comes from few hits.
+        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that an sd comes from few hits
+        or averages.
         """
         return doubts(self._spectra, self.power, self.freedom)
 

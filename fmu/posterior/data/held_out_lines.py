@@ -13,8 +13,8 @@ from fmu.types import BoolArray
 def held_out(data: FRFData) -> BoolArray:
     """Return a mask (n_frfs, n_lines) of the values that test the updated model.
 
-    These are unused values with a known standard deviation, at lines between the lowest and the highest line in
-    use. The reduced model is not trained beyond these two lines.
+    These are the unused values at lines between the lowest and the highest line in use, beyond which the reduced
+    model is not trained. Values without a standard deviation are excluded if the data have standard deviations.
     """
     lines = np.asarray(data.frequencies_hz)
     in_use = lines[data.used.any(axis=0)]

@@ -53,8 +53,8 @@ class ModalData:
         each measured mode. Modes are numbered from 1 among the elastic modes that move a sensor. Defaults to
         the lowest of these modes, in ascending order.
     tests : RepeatedTests, optional
-        The tests whose mean is `frequencies_hz`. The likelihood uses only the mean. The tests are used to predict
-        one more test, and to check whether the tests are independent.
+        The tests whose mean is `frequencies_hz`. The likelihood uses only the mean and its uncertainty. The tests
+        are used to predict one more test, and to check whether the tests are independent.
     use : tuple of bool, optional
         Whether each mode is used in updating. Defaults to all modes. Unused modes are paired and predicted too,
         but are not in the likelihood, so that they validate the updated model.
@@ -69,9 +69,10 @@ class ModalData:
     Raises
     ------
     ValueError
-        If a frequency is not positive and finite, a shape is zero or not finite, the lengths differ, a standard
-        deviation is not positive, the covariance is not positive definite, or the counterparts are not distinct
-        numbers from 1 or are given together with shapes.
+        If a frequency is not positive and finite, a shape is zero or not finite, the lengths differ, labels are
+        repeated, a standard deviation is not positive and finite, the covariance is not symmetric and positive
+        definite or is given together with `sd_hz`, `shapes_sd` is given without shapes, or the counterparts are
+        not distinct numbers from 1 or are given together with shapes.
     """
 
     frequencies_hz: ArrayLike
@@ -187,8 +188,8 @@ class ModalData:
         Raises
         ------
         ValueError
-            If a mode has too few values, a mode's values do not scatter, or two tests' shapes belong to different
-            modes.
+            If a mode has too few values, a mode's values do not scatter, two tests' shapes belong to different
+            modes, or an argument of the class is invalid.
         """
         tests = RepeatedTests(frequencies, scatter)
         mean, sd, covariance = tests.mean()

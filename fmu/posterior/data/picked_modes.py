@@ -41,7 +41,8 @@ def pick_modes(
         among the elastic modes that move a response. For pairing by number: the number in the spectrum. Defaults
         to 1, 2, … in ascending order of frequency. Give the numbers if the test misses a mode.
     n : int, optional
-        Largest number of resonances; the most prominent peaks are returned. Defaults to the length of `numbers`.
+        Largest number of resonances; the most prominent peaks are returned. Defaults to the length of `numbers`
+        or, without numbers, to no limit.
     sd : float
         Relative standard deviation of the frequencies, which weights them in the search.
 

@@ -59,21 +59,23 @@ def read_frf(
     frfs : sequence of int, optional
         Numbers of the FRFs to read, from 1 in file order. Defaults to all FRFs.
     scale : float
-        Factor that converts the values in the file to SI units: 9.80665 for accelerations in g.
+        Factor that converts the values and their sd in the file to SI units: 9.80665 for accelerations in g.
     averages : float, optional
-        Number of independent averages behind the coherences in the file. Without it, the coherences are not used.
+        Number of independent averages behind the coherences in the file. Defaults to the number in the file; if
+        there is none, the coherences are not used.
     sd, use, band : optional
         The attributes of `fmu.FRFData` with these names; `sd` is in SI units and replaces any sd in the file.
 
     Returns
     -------
     FRFData
-        `notes` lists the properties that the file does not define.
+        `notes` lists the properties that the file does not define, and data that were converted or not used.
 
     Raises
     ------
     ValueError
-        If the file has no such FRFs, or a kind or points are missing.
+        If the file has no such FRFs, a kind or points are missing, the kind contradicts the file, or `fmu.FRFData`
+        rejects the data.
     FileNotFoundError, ImportError
         If the file does not exist, or pyuff is not installed.
     """

@@ -56,7 +56,10 @@ def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
 
 
 def _scatter(values: FloatArray, scatter: str) -> _Scatter:
-    """Return each mode's scatter, estimated separately or, if `scatter` is "pooled", as one relative scatter."""
+    """Return each mode's scatter, estimated separately or, if `scatter` is "pooled", as one relative scatter.
+
+    Raise ValueError if a mode's values (if pooled, the values of all modes) do not differ between tests.
+    """
     n = np.sum(~np.isnan(values), axis=0)
     mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
     nu = n - 1
@@ -97,8 +100,9 @@ class RepeatedTests:
     Raises
     ------
     ValueError
-        If a frequency is not positive, a mode has too few values, a mode's values do not scatter at all, or there
-        are too few tests for a joint scatter.
+        If a frequency is not positive and finite (or NaN), a mode has too few values, a mode's values do not
+        scatter (if pooled: no mode's values do), the tests are too few for a joint scatter or missed a mode, the
+        shape is wrong, or `scatter` is unknown.
 
     Notes
     -----
@@ -118,12 +122,13 @@ class RepeatedTests:
     def mean(self) -> MeanFrequencies:
         """Return the mean over the tests, and its uncertainty estimated from the scatter between the tests.
 
-        Let mode i have n_i tests, the sample standard deviation s_i, and ν degrees of freedom. The mean's error
+        With a joint scatter, the uncertainty is the covariance in the description of `scatter`. Otherwise, let
+        mode i have n_i tests, the sample standard deviation s_i, and ν degrees of freedom. The mean's error
         divided by s_i/√n_i has Student's t distribution, because s_i is itself an estimate. This distribution is
         replaced by the Gaussian with the same central 95 % interval. The Gaussian's standard deviation is s_i/√n_i
         · t_0.975(ν)/1.96 (the expanded uncertainty in JCGM 100:2008, GUM, annex G.3, divided by the normal
         factor). This is 6.5 s_i/√n_i for two tests, 2.2 s_i/√n_i for three, 1.4 s_i/√n_i for five and 1.05
-        s_i/√n_i for twenty-five.
+        s_i/√n_i for twenty-five, if the scatter is not pooled.
         """
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
@@ -215,7 +220,8 @@ def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
     """Return the mean of the tests' mode shapes, (n_sensors, n_modes), after giving them a common scale and sign.
 
     Each shape is scaled to unit length, with the sign that makes its scalar product with the common direction
-    (the first eigenvector of Σ φφᵀ) positive. The mean has unit length and the first test's sign.
+    (the first eigenvector of Σ φφᵀ) positive. The mean has unit length and the sign of the first test that did not
+    miss the mode.
 
     Parameters
     ----------
@@ -227,8 +233,8 @@ def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
     Raises
     ------
     ValueError
-        If a shape is zero or not finite, a mode has no shape in any test, or the MAC between a shape and the mean
-        is below `least_mac`.
+        If the array does not have three dimensions, a shape is zero or not finite, a mode has no shape in any
+        test, or the MAC between a shape and the mean is below `least_mac`.
     """
     values = _checked_shapes(shapes)
     return np.stack([_align_shapes(values[:, :, k], k + 1, least_mac)[1] for k in range(values.shape[2])], axis=1)

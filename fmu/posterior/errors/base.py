@@ -25,7 +25,7 @@ class ErrorModel(Protocol):
 
     @property
     def sd(self) -> ArrayLike | Parameter | None:
-        """Standard deviation of the errors, or the Parameter if it is inferred; None if the data supply it."""
+        """Standard deviation of the errors, or the Parameter if it is inferred; None to use the data's, if any."""
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
@@ -34,18 +34,18 @@ class ErrorModel(Protocol):
         Parameters
         ----------
         data : ModalData
-        index : callable
-            Takes an inferred standard deviation as a Parameter; returns its index among the inferred error sds.
+        index : NoiseIndex
+            Takes a parameter that the error model infers; returns its index among the problem's inferred ones.
 
         Raises
         ------
         ValueError
-            If the settings do not fit the data.
+            If the settings do not fit the data, or the errors are not errors of modes.
         """
         ...
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of errors of this kind in `data`."""
+        """Return the number of errors of this kind in the used modes of `data`."""
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
@@ -56,14 +56,15 @@ class ErrorModel(Protocol):
 class Evaluated(NamedTuple):
     """Log-densities of the modes under one error model, at n parameter vectors, and their derivatives.
 
+    Derivatives are None if they were not requested or are zero.
+
     Attributes
     ----------
     terms : ndarray, shape (n, n_modes)
-        The log-density of each mode. The other attributes are its derivatives.
     by_frequency : ndarray, shape (n, n_modes), or None
-        With respect to the mode's frequency, 1/Hz.
+        With respect to the mode's frequency in the projected prediction (`ErrorTerm.project`), 1/Hz.
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
-        With respect to the components of the mode shape.
+        With respect to the components of the projected mode shape.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
         With respect to each inferred standard deviation, keyed by its index.
     by_frequency_variance, by_shape_variance : ndarray, shapes as by_frequency and by_shape, or None
@@ -87,7 +88,6 @@ class Residuals(NamedTuple):
     by_frequency : ndarray, shape (n, n_modes, q), or None
         In 1/Hz.
     by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
-        With respect to the components of the mode shape.
     """
 
     values: FloatArray
@@ -103,16 +103,15 @@ class ErrorTerm:
     spread : Spread
         Error variances.
     needs_shapes, of_frequencies : bool
-        Whether these are errors in mode shapes, and whether they are errors in frequencies, which `simulate` can
-        add.
+        Whether these are errors in mode shapes, and whether they are in frequencies, as `simulate` requires.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends only on the standard deviations.
     is_chi_square : bool
-        Whether a mode's squared residuals sum to a chi-square variable (with `n_data` degrees of freedom).
+        Whether a mode's squared `normal_scores` sum to a chi-square variable with `n_data` degrees of freedom.
     quantity : str
         Plural name of the quantities that have these errors.
     tests : RepeatedTests or None
-        The tests, if the standard deviations come only from their scatter.
+        The repeated tests, if the standard deviations come only from their scatter.
     """
 
     spread: Spread
@@ -139,17 +138,18 @@ class ErrorTerm:
         return False
 
     def among(self, used: IntArray | None) -> ErrorTerm:
-        """Return the error model for the `used` modes (indices). Its terms sum to these modes' joint log-density.
+        """Return the error model for the `used` modes (indices), whose terms then sum to their joint log-density.
 
-        The caller drops other modes' terms. A subclass overrides this if a term depends on other measured modes.
+        None selects all modes. The caller drops other modes' terms. A subclass overrides this if terms are
+        coupled.
         """
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
         """Convert errors divided by their standard deviations, (..., n_modes), to normal scores.
 
-        If a mode's index is given, all values in `z` (any shape) belong to that mode. Gaussian errors are returned
-        unchanged, unless the standard deviations were estimated from a few tests.
+        If a mode's index is given, all values in `z` (any shape) belong to that mode. By default, `z` is returned
+        unchanged, unless the standard deviations come from the scatter of repeated tests.
         """
         return z if self.tests is None else self.tests.normal_scores(z, mode)
 
@@ -206,7 +206,7 @@ class ErrorTerm:
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, to which only the inferred errors have been added."""
+        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only."""
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -218,7 +218,7 @@ class ErrorTerm:
         raise NotImplementedError
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return the Fisher information of the `used` modes on the inferred sds, shape (n, n_noise, n_noise)."""
+        """Return the Fisher information of the `used` or all modes on the inferred sds, (n, n_noise, n_noise)."""
         return self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:
@@ -294,7 +294,7 @@ class Likelihood:
         return other
 
     def with_model(self, model: Any) -> Self:
-        """Return the likelihood with another model of the same parameters and modes, or `self` without a model."""
+        """Return the likelihood with another model of the same parameters and modes; by default, return `self`."""
         return self
 
     @property
@@ -316,7 +316,7 @@ class Likelihood:
         return values if self.used is None else np.take(values, self.used, axis)
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
+        """Return the log-likelihood of each used mode or other datum, (n, n_terms), at theta (n, ndim)."""
         raise NotImplementedError
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -325,11 +325,11 @@ class Likelihood:
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the log-likelihood depends on the computed frequencies alone."""
+        """Whether the modes' log-likelihood depends on the model only through the computed frequencies."""
         return False
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the frequencies (n, n_modes); the model is solved only if needed."""
+        """Return the `terms` at theta, given the frequencies (n, n_modes); solve the model only if needed."""
         return self.terms(theta)
 
     def terms_and_misfit(
@@ -344,7 +344,7 @@ class Likelihood:
         return terms, np.empty((len(terms), 0, terms.shape[1]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood of each used mode, (n, n_used), and its gradient, (n, n_used, ndim)."""
+        """Return the `terms`, (n, n_terms), and their gradients, (n, n_terms, ndim)."""
         raise NotImplementedError
 
     def quadratic(
@@ -382,13 +382,13 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added."""
+        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only."""
         return frequencies
 
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies, Hz, with a discrepancy drawn from its prior, or posterior if `given_data`."""
+        """Return frequencies, Hz, plus any discrepancy, drawn from its prior, or posterior if `given_data`."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

@@ -30,8 +30,9 @@ class FrequencyErrors:
     Attributes
     ----------
     kind : {"absolute", "relative", "eigenvalue"}
-        ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error. The first two are
-        normalised as densities of f^m in Hz, the last as a density of ε.
+        ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error, where f is the
+        computed and f^m the measured frequency. The first two are normalised as densities of f^m in Hz, the last
+        as a density of ε.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
         Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's standard deviation
         or covariance. A covariance requires absolute errors without weights and without `model_sd`.
@@ -43,11 +44,11 @@ class FrequencyErrors:
 
     Notes
     -----
-    Model errors are rarely independent. A mass that was not modelled shifts many frequencies at once, and the
-    parameters compensate for the shift by more than their standard deviations indicate. If the prior of
-    model_sd reaches zero (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero.
-    With as many parameters as frequencies, a standard deviation of zero fits best. Inferring a standard deviation
-    therefore requires more data than parameters, or an informative prior.
+    Model errors are rarely independent. A mass that was not modelled shifts many frequencies, and the parameters
+    compensate by moving further than their standard deviations suggest. If the prior of model_sd reaches zero
+    (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero. With as many parameters
+    as frequencies, a standard deviation of zero fits best: inferring it requires more data than parameters, or an
+    informative prior.
     """
 
     kind: Kind = "relative"
@@ -64,7 +65,8 @@ class FrequencyErrors:
         Raises
         ------
         ValueError
-            If standard deviations or weights do not fit the data.
+            If standard deviations or weights are missing or do not fit the data, an inferred standard deviation
+            has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
         sd = self.sd
@@ -111,7 +113,8 @@ class BetaFrequencyErrors:
         Raises
         ------
         ValueError
-            If `beta` is given although the data have an uncertainty, or `beta` is not positive and finite.
+            If `beta` is not positive and finite, has a wrong length, or is given although the data have an
+            uncertainty.
         """
         known = data.sd_hz is not None or data.covariance_hz2 is not None
         if self.beta is None and known:
@@ -124,10 +127,10 @@ class BetaFrequencyErrors:
 
 
 class FrequencyTerm(ErrorTerm):
-    """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i), with ε as in `FrequencyErrors`.
+    """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i).
 
-    If all standard deviations are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and
-    (5) with F = 1.
+    Here ε = f − f^m in Hz (relative errors too) or, for eigenvalues, ε = (f/f^m)² − 1. If all standard deviations
+    are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
 
     Parameters
     ----------
@@ -165,7 +168,7 @@ class FrequencyTerm(ErrorTerm):
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviations σ_i of the errors, shape (n_modes,), which must be known, not inferred."""
+        """Standard deviations σ_i of the errors ε_i, shape (n_modes,), which must all be known."""
         return np.asarray(1.0 / np.sqrt(2.0 * self.beta))
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
@@ -208,7 +211,7 @@ class FrequencyTerm(ErrorTerm):
         return slope[..., None] * own, None, (bent * np.sum(own * J, axis=2))[..., None] * J
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
+        """Return simulated measurements, (n, n_modes), in Hz. Eigenvalue errors below −0.99 are set to −0.99."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))
         error = sd * rng.standard_normal(frequencies.shape)
         if self.kind == "eigenvalue":
@@ -217,7 +220,7 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + error)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency, (n, n_modes), in Hz.
+        """Return the mean and sd (of Student's t: the scale) of each measured frequency, (n, n_modes), in Hz.
 
         Eigenvalue errors ε = (f/f^m)² − 1 are not Gaussian in f^m. Their standard deviation is converted to Hz
         such that (f − f^m) divided by it equals ε divided by ε's standard deviation.
@@ -230,7 +233,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, to which only the inferred errors have been added."""
+        """Return frequencies (n, n_modes), Hz, with random Gaussian errors of the inferred sds only."""
         if self.is_known:
             return frequencies
         inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))
@@ -259,7 +262,7 @@ class FrequencyTerm(ErrorTerm):
 
 
 class CorrelatedFrequencyTerm(ErrorTerm):
-    """Gaussian errors ε = f − f^m in Hz with covariance Σ: log P(D|θ) = log N(f^m; f, Σ).
+    """Gaussian errors ε = f − f^m in Hz (computed − measured) with covariance Σ: log P(D|θ) = log N(f^m; f, Σ).
 
     With Σ = LLᵀ (Cholesky) and z = L⁻¹ε the log-density is a sum over the modes,
 
@@ -312,7 +315,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     @property
     def couples_modes(self) -> bool:
-        """Always True, because each mode's log-density also depends on other modes."""
+        """Always True, because a mode's log-density also depends on the modes before it."""
         return True
 
     @property
@@ -321,7 +324,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return np.asarray(0.5 / np.diag(self.covariance_hz2))
 
     def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
-        """Return the error term for the `used` modes, with the other modes marginalised out; see `ErrorTerm`."""
+        """Return the error model with the modes that are not `used` marginalised out; None keeps all modes."""
         return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
@@ -348,7 +351,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(self._normaliser - 0.5 * self._standardise(frequencies) ** 2)
 
     def log_prob_given_others(self, frequencies: FloatArray) -> FloatArray:
-        """Return the log-density of each measured frequency given all other measured frequencies, (…, n_modes).
+        """Return the log-density of each used measured frequency given the other used ones, (…, n_modes).
 
         With g = Σ⁻¹ε and c_i = (Σ⁻¹)_ii it is log N(g_i/c_i; 0, 1/c_i) (Bürkner, Gabry & Vehtari 2021,
         Computational Statistics 36, 1243, eq. 12). Leave-one-out cross-validation needs these conditional
@@ -360,7 +363,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and sd of each measured frequency given all the others, (n, n_modes), in Hz."""
+        """Return the mean and sd of each used measured frequency given the other used ones, (n, n_modes), Hz."""
         c = np.sum(self._inverse_root**2, axis=0)
         g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
@@ -387,10 +390,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return the product A x along an axis of `x`, in C order.
-
-    The summation order does not depend on the batch size.
-    """
+    """Return the product A x along an axis of `x`, in C order, summed in an order independent of the batch."""
     total = np.zeros(x.shape)
     along = (slice(None),) * (axis % x.ndim)
     columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))

@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, which allows a fast evaluation at a single theta, or None if the model is uncertain."""
+        """Return `error`, whose terms need no `Evaluated` record, or None if the model is uncertain."""
         return None if self.model.is_uncertain else self.error
 
     @property
@@ -113,20 +113,20 @@ class ModalLikelihood(Likelihood):
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the log-likelihood depends on the computed frequencies alone."""
+        """Whether the modes' log-likelihood depends on the model only through the computed frequencies."""
         return not (self.needs_shapes or self.model.is_uncertain)
 
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the modes' `terms`, (n, n_used), and `misfit`, (n, n_kinds, n_used), from one set of solves."""
+        """Return the modes' `terms`, (n, n_used), and `misfit`, (n, n_kinds, n_used); see `Likelihood`."""
         is_enough = self.by_frequencies and frequencies is not None
         seen = without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's sum of squared residuals under each `chi_square` model, (n, n_kinds, n_used)."""
+        """Return each used mode's sum of squared normal scores, (n, n_kinds, n_used), by `chi_square` model."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -167,7 +167,7 @@ class ModalLikelihood(Likelihood):
         return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (n, n_residuals), over sds of errors, and slopes (n, n_residuals, n_structural)."""
+        """Return the errors over their sds, (n, n_residuals), and derivatives, (n, n_residuals, n_structural)."""
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def terms_and_residuals(
@@ -186,6 +186,8 @@ class ModalLikelihood(Likelihood):
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
         """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations.
+
+        Return 0 for modes that are not used, and for all modes if no error model is for frequencies.
 
         Parameters
         ----------
@@ -207,8 +209,7 @@ class ModalLikelihood(Likelihood):
         Raises
         ------
         ValueError
-            If there are only shape errors, or standard deviations are inferred and `noise` (n, n_noise) is not
-            given.
+            If no error model is for frequencies, or `noise` (n, n_noise) is missing though sds are inferred.
         """
         if self.frequency_term is None:
             raise ValueError("error: must be a distribution of the frequencies to simulate them")
@@ -217,9 +218,10 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added.
+        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only.
 
-        Raise ValueError if standard deviations are inferred and `noise` (n, n_noise) is not given.
+        Return them unchanged if no error model is for frequencies. Otherwise, raise ValueError if standard
+        deviations are inferred and `noise` (n, n_noise) is not given.
         """
         if self.frequency_term is None:
             return frequencies
@@ -286,7 +288,7 @@ class ModalLikelihood(Likelihood):
         return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted frequencies at theta (n, ndim), and mode shapes if there are errors in shapes."""
+        """Return the predicted modes at theta (n, ndim), with shapes if an error model needs them."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
@@ -310,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the modes, with derivatives by theta or, without a `chain`, by their tests' parameters."""
+        """Return the modes with derivatives by theta or, if `chain` is None, by the parameters in their tests."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

@@ -39,11 +39,16 @@ class MACErrors:
     sd : float, array_like of shape (n_modes,), or Parameter
         Standard deviation of the Gaussian that is truncated to [0, 1].
     weights : array_like, shape (n_modes,), optional
-        Weights w_i of the modes: the variance of ε_i is sd²/w_i.
+        Weights w_i of the modes: the variance of the Gaussian for ε_i is sd²/w_i.
     together : sequence of sequence of str
         Groups of mode labels. The modes in a group have frequencies too close for their shapes to be distinct,
         such as the mode pairs of a nearly symmetric structure. Each mode is compared with the subspace spanned by
         its group's computed modes, which does not depend on how the shapes are rotated within it (`in_span`).
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation or a weight is not positive and finite.
     """
 
     sd: ArrayLike | Parameter
@@ -59,8 +64,9 @@ class MACErrors:
         Raises
         ------
         ValueError
-            If shapes were not measured at two sensors or more, or standard deviations, weights or groups do not
-            fit the data.
+            If shapes were not measured at two sensors or more, standard deviations, weights or groups do not fit
+            the data, or an inferred standard deviation has a negative lower bound or the name of another
+            parameter.
         """
         unit = unit_shapes(data, "MAC errors")
         size = 1.0 / np.sqrt(mode_weights(self.weights, unit.shape[1]))

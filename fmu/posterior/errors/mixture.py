@@ -112,7 +112,8 @@ class MixtureLikelihood(ModalLikelihood):
         """Return the residuals and their derivatives, computed for the candidates with the highest MAC.
 
         These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
-        other candidates contribute more to the likelihood. See `ModalLikelihood` for the shapes.
+        other candidates contribute more to the likelihood. See `ModalLikelihood` for the shapes. `chain` is
+        ignored, because soft pairing is for one test only.
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))
@@ -160,7 +161,10 @@ class MixtureLikelihood(ModalLikelihood):
         return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
 
     def _mix(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the used modes' log-likelihood terms (n, n_used) and their gradients (n, n_used, ndim)."""
+        """Return the used modes' log-likelihood terms (n, n_used) and their gradients (n, n_used, ndim).
+
+        A gradient component that is not finite is replaced by NaN.
+        """
         n, k, m = pairs.log_weight.shape
         n_structural = self.n_structural
         terms = pairs.terms

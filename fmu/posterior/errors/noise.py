@@ -16,7 +16,7 @@ from fmu.posterior.parameters import Parameter, parameter_in
 from fmu.types import FloatArray, IntArray, Plain
 
 NoiseIndex = Callable[[Parameter], int]
-"""A function that returns an inferred error sd's index among those in the problem."""
+"""A function that returns the index of an inferred parameter of the errors among all of the problem's."""
 
 OLD_NAMES = {"discrepancy": "model_sd"}
 """Present names of error model arguments, keyed by old name."""
@@ -45,10 +45,10 @@ class Spread:
     Attributes
     ----------
     fixed : ndarray, any shape
-        Known standard deviations.
+        Known standard deviations; 0 if all are inferred.
     sizes : mapping of int to ndarray of the same shape
-        The factors size_k by which inferred standard deviation k is multiplied for each error, keyed by the index
-        k.
+        The factor size_k for each error, by which the inferred standard deviation with index k is multiplied,
+        keyed by k.
     """
 
     fixed: FloatArray
@@ -114,8 +114,9 @@ def spread(
     Raises
     ------
     ValueError
-        If a standard deviation is not positive and finite, does not have the shape of the errors, can be negative,
-        or is missing.
+        If a known standard deviation is not positive and finite or does not have the shape of the errors, an
+        inferred one has a negative lower bound or the name of another parameter, or neither `sd` nor `model_sd` is
+        given.
     """
     inferred = [p for p in map(parameter_in, (sd, model_sd)) if p is not None]
     for parameter in inferred:
@@ -143,7 +144,7 @@ def spread(
 
 
 def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -> None:
-    """Raise ValueError unless all numbers in `sd` and `weights` are positive and finite."""
+    """Raise ValueError unless all numbers in `sd` and `weights` (each may be None) are positive and finite."""
     for name, value in (("sd", sd), ("weights", weights)):
         if value is not None and parameter_in(value) is None:
             require(name, value, Annotated[Numbers, Gt(0.0)])
@@ -154,7 +155,10 @@ def _column(noise: FloatArray, k: int, ndim: int) -> FloatArray:
 
 
 def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
-    """Return the trust β in each mode's data, (n_modes,); raise ValueError unless all are positive and finite."""
+    """Return the trust β in each mode's data, shape (n_modes,).
+
+    Raise ValueError if `beta` is not positive and finite, or is neither one number nor one per mode.
+    """
     array = np.array(beta, dtype=float)
     if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
         raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")

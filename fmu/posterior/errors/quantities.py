@@ -84,11 +84,11 @@ class QuantityErrors:
         return 0
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return False, because `data` are modal data."""
+        """Return False: `data` describe modes, and contain no standard deviations of these quantities."""
         return False
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with place names replaced by nodes of the model."""
+        """Return the same settings with place names replaced by nodes of the model; other names are kept."""
         return self
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
@@ -127,8 +127,8 @@ class MassErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If `at_supports` is negative or not below the mass, the centre is not three finite numbers, or only one of
-        `centre` and `centre_sd` is given.
+        If the mass or a standard deviation is not positive, `at_supports` is negative or not below the mass, the
+        centre is not three finite numbers, or only one of `centre` and `centre_sd` is given.
     """
 
     mass: Positive
@@ -185,7 +185,7 @@ class StaticErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If the load or the displacement is not finite, or the load is zero.
+        If the load or the displacement is not finite, the load is zero, or the standard deviation is not positive.
     """
 
     force: tuple[int | str, str]
@@ -202,7 +202,7 @@ class StaticErrors(QuantityErrors):
                 raise ArgumentError(name, f"must be a finite number{', not 0' * (name == 'load')}", value)
 
     def at_places(self, places: Mapping[str, Any]) -> StaticErrors:
-        """Return the same settings with place names replaced by nodes of the model."""
+        """Return the same settings with place names replaced by nodes of the model; other names are kept."""
 
         def replace_name(place: tuple[int | str, str]) -> tuple[Any, str]:
             return places.get(str(place[0]), place[0]), place[1]
@@ -210,7 +210,10 @@ class StaticErrors(QuantityErrors):
         return replace(self, force=replace_name(self.force), at=None if self.at is None else replace_name(self.at))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Bind the static displacement to a structure; see `QuantityErrors.bind_structure`."""
+        """Bind the static displacement to a structure; see `QuantityErrors.bind_structure`.
+
+        Raise ValueError if the place or direction of the load or of the displacement is not free to move.
+        """
         at = self.force if self.at is None else self.at
         for key, sensor in (("force", self.force), ("at", at)):
             if not model.sees(sensor):

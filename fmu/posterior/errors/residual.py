@@ -77,11 +77,17 @@ class ModalResidual(Likelihood):
         self._scale = np.linalg.norm(elastic, axis=0)
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the pseudo-log-likelihood of each used mode, shape (n, n_used), at theta (n, n_parameters)."""
+        """Return the pseudo-log-likelihood of each used mode, (n, n_used), at theta (n, n_parameters).
+
+        It is NaN where the structure is a mechanism when the sensors are fixed.
+        """
         return self.of_used(np.stack([self._one(point[None], gradient=False)[0] for point in theta]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the pseudo-log-likelihood of each used mode and its gradient, (n, n_used, n_parameters)."""
+        """Return the pseudo-log-likelihood of each used mode and its gradient, (n, n_used, n_parameters).
+
+        Both are NaN where the structure is a mechanism when the sensors are fixed.
+        """
         results = [self._one(point[None]) for point in theta]
         terms, slopes = (np.stack(parts) for parts in zip(*results, strict=True))
         return self.of_used(terms), self.of_used(slopes, 1)
@@ -99,7 +105,10 @@ class ModalResidual(Likelihood):
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
 
     def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
-        """Return K and M at a single theta, with the sensors first, and the condensation onto the sensors."""
+        """Return K and M at a single theta, with the sensors first, and the condensation onto the sensors.
+
+        Raise SingularCondensationError if the structure is a mechanism when the sensors are fixed.
+        """
         K = sp.csc_array(self._K_map.add_up(self._K_map.coefficients(theta)[0], dense=False))
         M = sp.csc_array(self._M_map.add_up(self._M_map.coefficients(theta)[0], dense=False))
         return K, M, StaticCondensation(K, np.arange(self._n_sensors))
@@ -137,7 +146,10 @@ class ModalResidual(Likelihood):
 
 
 def _masters(rows: Any) -> NDArray[np.intp]:
-    """Return the degree-of-freedom index at each sensor, shape (n_sensors,)."""
+    """Return the degree-of-freedom index at each sensor, shape (n_sensors,).
+
+    Raise ValueError if a sensor does not read exactly one degree of freedom with the factor 1.
+    """
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
         raise ArgumentError(
             "sensors", "for the modal residual they must be degrees of freedom, without arms or signs"

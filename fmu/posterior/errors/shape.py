@@ -41,7 +41,13 @@ class ShapeErrors:
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variances of mode i are sd²/w_i.
     model_sd : Parameter, optional
-        Standard deviation of the model error in a component of a unit-length shape, to be inferred.
+        Standard deviation sd_d of the model error in a component of a unit-length shape, to be inferred. It adds
+        sd_d²/w_i to the variances of mode i.
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation or a weight is not positive and finite.
     """
 
     sd: ArrayLike | Parameter | None = None
@@ -57,8 +63,9 @@ class ShapeErrors:
         Raises
         ------
         ValueError
-            If shapes were not measured at two sensors or more, or standard deviations or weights do not fit the
-            data.
+            If shapes were not measured at two sensors or more, standard deviations are missing, standard
+            deviations or weights do not fit the data, or an inferred one has a negative lower bound or the name of
+            another parameter.
         """
         unit = unit_shapes(data, "shape errors")
         size = np.ones(unit.shape) / np.sqrt(mode_weights(self.weights, unit.shape[1]))
@@ -169,7 +176,10 @@ class ShapeTerm(ErrorTerm):
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return the Fisher information on the inferred sds; see `ErrorTerm.information`."""
+        """Return the Fisher information on the inferred sds; see `ErrorTerm.information`.
+
+        The free scale reduces it by the factor 1 − 1/q at q sensors.
+        """
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:

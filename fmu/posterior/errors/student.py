@@ -41,7 +41,13 @@ class StudentErrors(FrequencyErrors):
         Degrees of freedom ν, at least 1: known, or to be inferred. With ν = 4, an error beyond 3σ has a
         probability of 4 %, and an error beyond 10σ of 0.06 %. From ν = 30 on the distribution is nearly Gaussian.
     kind, sd, weights, model_sd
-        As in `fmu.FrequencyErrors`; σ is the scale, which is √((ν − 2)/ν) times the standard deviation.
+        As in `fmu.FrequencyErrors`, but they define the scale σ, to which the data's standard deviation is equated
+        by default. The distribution's own standard deviation is σ √(ν/(ν − 2)) for ν > 2, otherwise infinite.
+
+    Raises
+    ------
+    ValueError
+        If `freedom` is a number below 1, or a standard deviation or a weight is not positive and finite.
     """
 
     freedom: float | Parameter = 4.0
@@ -57,8 +63,7 @@ class StudentErrors(FrequencyErrors):
         Raises
         ------
         ValueError
-            If `freedom` may be below 1, the data have a covariance, or standard deviations or weights do not fit
-            the data.
+            If `freedom` may be below 1, the data's covariance would be used, or `FrequencyErrors.bind` raises it.
         """
         freedom, parameter = value_and_parameter(self.freedom)
         least = freedom if parameter is None else parameter.lower
@@ -98,7 +103,7 @@ class StudentTerm(FrequencyTerm):
         return False
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Convert errors divided by their scales to normal scores.
+        """Convert errors divided by their scales to normal scores; NaN if ν is inferred.
 
         The scores are Φ⁻¹(F(z)), where F is Student's distribution function.
         """
@@ -145,7 +150,7 @@ class StudentTerm(FrequencyTerm):
         return found
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
+        """Return simulated measurements, (n, n_modes), in Hz. Eigenvalue errors below −0.99 are set to −0.99."""
         nu = self._freedom if self._number is None else self._nu(noise)
         error = np.sqrt(self.spread.variance(noise)) * rng.standard_t(nu, frequencies.shape)
         if self.kind == "eigenvalue":

@@ -57,7 +57,10 @@ def evaluated_with_variance(
 
 
 def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Residuals:
-    """Return the residuals divided by √(1 + Σ_j (∂r/∂x_j)² v_j), their sd including surrogate errors."""
+    """Return the residuals and their derivatives divided by √(1 + Σ_j (∂r/∂x_j)² v_j).
+
+    This factor adds the surrogate's errors to the standard deviations; its own derivatives are neglected.
+    """
     variance = np.ones_like(residuals.values)
     if residuals.by_frequency is not None and seen.frequency_variance is not None:
         variance += residuals.by_frequency**2 * seen.frequency_variance[..., None]

@@ -52,7 +52,10 @@ def complex_array(name: str, values: Any) -> ComplexArray:
 
 
 def checked_values(values: Any, n_lines: int) -> ComplexArray:
-    """Return FRF values as an array (n_frfs, n_lines); raise ValueError if they have another shape."""
+    """Return FRF values as an array (n_frfs, n_lines).
+
+    Raise ValueError if they are not numbers or have another shape.
+    """
     array = complex_array("values", values)
     if array.ndim == 1 and len(array) == n_lines:
         rule = f"must have shape (n_frfs, {n_lines}); put the values of one FRF in a list"
@@ -78,9 +81,9 @@ def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -
 
 
 def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return standard deviations as an array (n_frfs, n_lines). Unknown standard deviations are NaN.
+    """Return standard deviations as an array (n_frfs, n_lines). Unknown standard deviations are NaN or 0.
 
-    Raise ValueError if one is negative or infinite, or none is positive.
+    Raise ValueError if the shape is wrong, one is negative or infinite, or none is positive.
     """
     array = np.array(sd, dtype=float)
     if array.shape not in ((), (shape[0], 1), shape):
@@ -95,7 +98,10 @@ def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
 
 
 def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return the coherence γ² as an array (n_frfs, n_lines); raise ValueError for a value outside 0 to 1."""
+    """Return the coherence γ² as an array (n_frfs, n_lines), with NaN where it is unknown.
+
+    Values that exceed 1 by rounding become 1. Raise ValueError for other values outside 0 to 1, or a wrong shape.
+    """
     array = np.array(coherence, dtype=float)
     if array.shape != shape:
         raise ArgumentError("coherence", f"must have shape {shape}, FRFs x lines", array.shape)
@@ -124,7 +130,7 @@ def checked_bools(name: str, values: Any, shape: tuple[int, int]) -> BoolArray:
 
 
 def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
-    """Return a sentence for each FRF that lacks values.
+    """Return a list with a sentence for each FRF that lacks some values.
 
     Parameters
     ----------
@@ -157,14 +163,14 @@ def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_
     ----------
     f : ndarray, shape (n_lines,), Hz
     chosen, used : ndarray of bool, shape (n_frfs, n_lines)
-        Values that the user chose, and the chosen values that have a standard deviation.
+        Values that the user chose and that are not missing, and those among them that are used.
     name, of_sd : str
         Name of the attribute that chose the lines, and name of the attribute that gives the standard deviation.
 
     Raises
     ------
     ValueError
-        If no value is left.
+        If no value was chosen, or no chosen value has a standard deviation.
     """
     n, without = int(chosen.sum()), int(np.sum(chosen & ~used))
     if n == 0:

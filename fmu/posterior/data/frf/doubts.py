@@ -65,7 +65,7 @@ class _Signs(NamedTuple):
         return bool(np.isnan(self.slope)) or round(self.slope) in slopes
 
     def phase_fits(self, k: int) -> bool:
-        """Return True if the phase at resonances is possible for FRFs of kind k."""
+        """Return True if the phase at resonances is possible for FRFs of kind k, or unknown."""
         return self.is_imaginary is None or self.is_imaginary == (k != 1)
 
 
@@ -146,7 +146,10 @@ def _signs(spectra: Spectra, k: int) -> _Signs | None:
 
 
 def _clear(spectra: Spectra, i: int) -> BoolArray:
-    """Return a mask (n_lines,) of the lines at which FRF `i` stands out of the noise."""
+    """Return a mask (n_lines,) of the lines at which FRF `i` stands out of the noise.
+
+    If standard deviations are unknown, these are all lines with a value.
+    """
     height = np.abs(spectra.receptance[i])
     if spectra.sd is None:
         return np.isfinite(height)
@@ -183,7 +186,10 @@ def _power_doubts(spectra: Spectra, k: int) -> list[str]:
 
 
 def _reciprocal_doubts(spectra: Spectra) -> list[str]:
-    """Return one sentence for each pair of reciprocal FRFs that differ by more than their errors explain."""
+    """Return one sentence for each pair of reciprocal FRFs that differ by more than their errors explain.
+
+    Without standard deviations, a median difference of `_RECIPROCAL` or more is reported.
+    """
     row = {pair: i for i, pair in enumerate(spectra.axes)}
     values, told = spectra.receptance * spectra.signs, []
     for (response, drive), i in row.items():

@@ -52,23 +52,23 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
     Parameters
     ----------
     values : array_like of complex, shape (n_hits, n_frfs, n_lines)
-        NaN where a hit failed.
+        NaN or 0 where a hit failed.
     invert : bool
         Whether to average the reciprocals, for dynamic stiffnesses.
 
     Returns
     -------
     mean : ndarray of complex, shape (n_frfs, n_lines)
+        NaN at a line with fewer than two hits.
     sd : ndarray, shape (n_frfs, n_lines)
-        Standard deviation of the mean's real part, and of its imaginary part; NaN at a line with fewer than
-        two hits.
+        Standard deviation of the mean's real part, and of its imaginary part; NaN where the mean is NaN.
     hits : int
         Smallest number of hits at a line with at least two.
 
     Raises
     ------
     ValueError
-        If the shape is wrong, no line has two hits, or the hits do not differ.
+        If `values` are not numbers or have a wrong shape, no line has two hits, or the hits do not differ.
     """
     hits = complex_array("values", values)
     if hits.ndim != 3 or hits.size == 0:
@@ -110,8 +110,8 @@ def estimate_frfs(
     Raises
     ------
     ValueError
-        If the shapes differ, a record is not finite or shorter than a segment, the window is unknown, or there are
-        fewer than two averages.
+        If the shapes differ, a record is not finite or shorter than a segment, a segment has fewer than 4 samples,
+        the force is zero throughout, the window is unknown, or there is only one segment.
     """
     from scipy.signal import csd, get_window, welch
 
@@ -160,7 +160,10 @@ def independent_averages(window: FloatArray, step: int, n_segments: int) -> floa
 
 
 def _records(force: Any, response: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the forces as (n_records, n_samples) and the responses as (n_records, n_frfs, n_samples)."""
+    """Return the forces as (n_records, n_samples) and the responses as (n_records, n_frfs, n_samples).
+
+    Raise ValueError if the shapes differ, a sample is not finite, or the force is zero throughout.
+    """
     f, x = np.asarray(force, dtype=float), np.asarray(response, dtype=float)
     if f.ndim not in (1, 2) or f.size == 0:
         raise ArgumentError("force", "must have shape (n_samples,) or (n_records, n_samples)", f.shape)

@@ -125,7 +125,10 @@ def _width(f: FloatArray, peaks: Peaks) -> FloatArray:
 
 
 def _poles(f: FloatArray, measured: Any, peaks: Peaks, k: int) -> tuple[FloatArray, FloatArray, Any]:
-    """Return frequencies in Hz (m,), damping ratios (m,) and modal constants (n_frfs, m) of poles near peaks."""
+    """Return frequencies in Hz (m,), damping ratios (m,) and modal constants (n_frfs, m) of poles near peaks.
+
+    Raise ImportError if sdypy-EMA is not installed, and ValueError if it finds no stable pole or fails.
+    """
     try:
         from sdypy import EMA
     except ImportError:

@@ -35,7 +35,7 @@ class Peaks(NamedTuple):
     ----------
     frequencies_hz : ndarray, shape (m,)
     damping : ndarray, shape (m,)
-        Damping ratios; NaN for a resonance with too few lines.
+        Damping ratios; NaN if neither a fit nor the half-power bandwidth gives one.
     """
 
     frequencies_hz: FloatArray
@@ -127,10 +127,11 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 
     The CMIF consists of the singular values of the mobility matrix (responses × drives) at each line (Shih, Tsuei,
     Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak in the largest singular value
-    counts if it exceeds the adjacent valleys by a factor and stands out of the noise. A peak in a lower singular
-    value is a second mode if it is not much smaller, and has another shape and a separate resonance. Otherwise two
-    modes exchange their order there. If some FRFs in the matrix were not measured, the root sum of squares over
-    all FRFs replaces the CMIF. Two modes within a half-power bandwidth are then one peak.
+    counts if its line is in use, it exceeds the adjacent valleys by a factor, and it stands out of the noise. A
+    peak in a lower singular value must also be not much smaller, and have another shape and a separate resonance;
+    it is then a second mode. Otherwise two modes exchange their order there. If FRFs in the matrix were not
+    measured, or were measured twice, the root sum of squares over all FRFs replaces the CMIF. Two modes within a
+    half-power bandwidth are then one peak.
 
     A peak's singular vectors combine the FRFs into a single FRF with one mode. A rational function of order two,
     fitted to the lines near the peak, gives the frequency and the damping ratio. If the fit fails, the peak's line
@@ -185,7 +186,10 @@ def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, d
 
 
 def fill_gaps(spectra: Spectra) -> ComplexArray:
-    """Return the receptances, (n_frfs, n_lines), with gaps interpolated between the adjacent lines."""
+    """Return the receptances, (n_frfs, n_lines), with gaps interpolated between the adjacent lines.
+
+    Gaps at either end of the spectrum take the nearest value.
+    """
     filled = spectra.receptance.copy()
     for row in filled:
         missing = np.isnan(row)
@@ -213,8 +217,8 @@ def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray
 def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
     """Return the largest standard deviation of the mobilities at each line, shape (n_lines,).
 
-    If the standard deviations are unknown, they are estimated from the running median of the squared second
-    differences over the lines. With fewer than `_NEIGHBOURS` lines they are set to zero.
+    Missing standard deviations count as 0. If all are unknown, they are estimated from the running median of the
+    squared second differences over the lines, or are set to zero with fewer than `_NEIGHBOURS` lines.
     """
     from scipy.ndimage import median_filter
 
