@@ -1,4 +1,4 @@
-"""Instructions for exporting stiffness and mass matrices from finite-element programs, listed by file suffix."""
+"""Instructions for exporting stiffness and mass matrices from finite-element programs, keyed by file suffix."""
 
 from __future__ import annotations
 

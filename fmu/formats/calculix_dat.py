@@ -39,8 +39,8 @@ def read_frequencies(path: Path) -> FloatArray:
     Raises
     ------
     ValueError
-        If the file does not exist, is too large or has no eigenvalues, or if it has a word where a number is
-        expected.
+        If the file does not exist, is too large or has no eigenvalues, if its table is cut off, or if it has a
+        word where a number is expected.
     """
     text = _last_step(path)
     first = _MODE.search(text)
@@ -61,7 +61,8 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     Raises
     ------
     ValueError
-        If the file does not exist, lacks a node or a mode, or has a word where a number is expected.
+        If the file does not exist, is too large or has no eigenvalues, if its last step does not have `n_modes`
+        shapes, if a mode lacks a node, or if there is a word where a number is expected.
     """
     text = _last_step(path)
     begins = [match.start() for match in _MODE.finditer(text)]
@@ -103,7 +104,10 @@ def _frequencies(text: str, name: str) -> FloatArray:
 
 
 def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
-    """Return one dict per mode that maps each node id to its three displacements, still as text."""
+    """Return one dict per mode that maps each node id to its three displacements, still as text.
+
+    Raise ValueError unless there are `n_modes` blocks.
+    """
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")

@@ -43,7 +43,7 @@ _WORD = re.compile(r"[^\W\d]\w*")
 def read_deck(path: Path) -> str:
     """Read a deck, preserving line ends and non-UTF-8 bytes.
 
-    Raise ValueError if the file is not text.
+    Raise ValueError if the file does not exist, is larger than `LARGEST_DECK` or is not text.
     """
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
@@ -60,12 +60,14 @@ def write_deck(path: Path, text: str) -> None:
 
 
 def placeholders(text: str) -> set[str]:
-    """Return the names in braces in a deck. They may be placeholders."""
+    """Return the texts in single braces in a deck, each of which may be the name of a placeholder."""
     return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
 
 
 def filled_name(name: str) -> str:
     """Return the name of the deck produced from a template: ``"plate.inp"`` for ``"plate.inp.in"``.
+
+    The folder is dropped if the path is absolute or contains ``..``.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
     Raises
     ------
     ValueError
-        If a deck contains the same value with different digits in several places.
+        If the deck contains a value with different digits in several places.
     """
     found = dict(values)
     first: dict[str, str] = {}
@@ -128,7 +130,10 @@ def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
 
 
 def _fill_in(match: re.Match[str], values: Mapping[str, float]) -> str:
-    """Return the replacement for text in braces: a number for a placeholder, otherwise the text itself."""
+    """Return the replacement for text in braces.
+
+    It is a number for a placeholder, ``{word}`` for ``{{word}}``, and otherwise the text itself.
+    """
     if match[1] is not None:
         return f"{{{match[1]}}}"
     if match[2] not in values:
@@ -176,5 +181,5 @@ def _shortest(value: float, width: int, exponent: str) -> str:
 
 
 def _read(text: str) -> float:
-    """Convert a Nastran field to float. The field's exponent has no letter."""
+    """Convert a number to float. Its exponent may lack the letter, as in a Nastran field."""
     return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) if "e" not in text else text)

@@ -2,8 +2,8 @@
 
 CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes. If
 *TRANSFORM rotates a node's axes, CalculiX chooses the degree of freedom that an equation makes dependent. It is in
-the global direction with the same number, or in the next one along which the local axis has a component. CalculiX,
-*User's manual*. `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
+the global direction with the same number, or in the next one along which the local axis has a component (CalculiX,
+*User's manual*). `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ def constraints_of(
 ) -> tuple[list[Equation], set[DofName], list[str]]:
     """Return the constraint equations along global axes, the fixed degrees of freedom, and notes on skipped input.
 
+    Sets in the deck are added to `found`.
+
     Parameters
     ----------
     found : Constraints
@@ -64,8 +66,8 @@ def constraints_of(
     Raises
     ------
     RefusedError, ValueError
-        If a keyword is malformed, names an unknown node or set, or does not determine its dependent degrees of
-        freedom.
+        If a keyword is malformed, names an unknown node or set, does not determine its dependent degrees of
+        freedom, or has too many entries.
     """
     axes: dict[int, FloatArray] = {}
     held: set[DofName] = set()
@@ -103,9 +105,10 @@ def constraints_of(
 
 
 def _along_local_axes(node: int, rows: Sequence[tuple[dict[DofName, float], int, str]]) -> list[Equation]:
-    """Solve a rotated node's constraint rows for its global displacements, and return the equations.
+    """Return the equations of a node with rotated axes, solved for its global displacements.
 
-    Each row is (coefficients, direction, source). The rows share directions, so they are solved together.
+    Each row is (coefficients, local direction, source); duplicates are dropped. The rows contain the same global
+    displacements, so they are solved together. Raise RefusedError if they do not determine their dependents.
     """
     chosen: list[DofName] = []
     unique = {(k, tuple(sorted(row.items()))): (row, k, source) for row, k, source in rows}
@@ -124,7 +127,10 @@ def _equations(
     axes: Mapping[int, FloatArray],
     places: Mapping[int, tuple[float, float, float]],
 ) -> Iterator[tuple[dict[DofName, float], DofName, str]]:
-    """Yield each equation's coefficients along global axes, its first degree of freedom and its source."""
+    """Yield each equation's coefficients along global axes, its first degree of freedom and its source.
+
+    The first degree of freedom is along the node's own axes.
+    """
     rows = one.rows()
     for count, start in enumerate(rows, 1):
         source = f"equation {count} of {one.source}"
@@ -165,7 +171,10 @@ def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, t
 
 
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
-    """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes."""
+    """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes.
+
+    Directions above 6 and unknown named supports are skipped.
+    """
     for words in one.rows():
         if len(words) < 2 or not words[1].isdecimal():
             for node in (
@@ -184,7 +193,10 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
 def _transform(
     found: Constraints, one: Keyword, places: Mapping[int, tuple[float, float, float]]
 ) -> dict[int, FloatArray]:
-    """Return each *TRANSFORM node's local axes as rows, shape (3, 3): rectangular, or cylindrical if TYPE=C."""
+    """Return the local axes of the nodes of a *TRANSFORM, keyed by node id, as rows of arrays of shape (3, 3).
+
+    The axes are rectangular, or cylindrical if TYPE=C.
+    """
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:
         raise ValueError(f"{one.source} must have six coordinates (got {len(words)})")

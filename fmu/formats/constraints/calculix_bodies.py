@@ -29,7 +29,11 @@ _SHIFTS, _TURNS = DIRECTIONS[:3], DIRECTIONS[3:]
 
 
 class _Body(NamedTuple):
-    """A rigid body: reference node, rotation node (None if CalculiX adds one), and dependent nodes."""
+    """A rigid body. `rotation` is its rotation node, or None if CalculiX adds one.
+
+    `components` are the directions (0 to 2) in which the dependent `nodes` follow. `n_added` is how many node
+    numbers the body uses up, not counting an added rotation node.
+    """
 
     reference: int
     rotation: int | None
@@ -53,22 +57,22 @@ def bodies_of(
     ----------
     found : Constraints
     places : mapping of int to (float, float, float)
-        Coordinates of each node.
+        Coordinates of each node, keyed by node id.
     elements : mapping of int to tuple of int
-        Node ids of each element.
+        Node ids of each element, keyed by element id.
     face : callable
         ``face(element, "S3")`` returns the nodes on a face of a solid element.
     is_numbered : bool
         Whether the numbers of the nodes that CalculiX adds are known. This requires that the deck requests matrix
         storage and contains only solids.
     held : set of (node, direction)
-        Degrees of freedom that supports fix. If a reference node's rotation is fixed, its entry is replaced by the
-        displacement of the added node.
+        Degrees of freedom that supports fix. The set is changed in place: if CalculiX adds a rotation node to a
+        body, a fixed rotation of the reference node is replaced by the added node's displacement.
 
     Raises
     ------
     RefusedError, ValueError
-        If a keyword is malformed, or names an unknown node, set or surface.
+        If a keyword is malformed, names an unknown node, set or surface, or has no nodes or too many.
     """
     surfaces = {one.options.get("NAME", ""): one for one in found.keywords if one.name == "SURFACE"}
     notes: list[str] = []

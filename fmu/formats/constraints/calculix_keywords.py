@@ -67,6 +67,9 @@ class Constraints:
         Node sets, keyed by name.
     elements_of : dict of str to list of int
         Element sets, keyed by name.
+    keywords : list of Keyword
+    n_characters, n_members : int
+        Total sizes of the data lines and of the sets, which are limited.
     """
 
     nodes_of: dict[str, list[int]] = field(default_factory=dict)
@@ -84,7 +87,10 @@ class Constraints:
             self.keywords.append(Keyword(name, options, line))
 
     def add(self, name: str, line: str) -> None:
-        """Add a data line to the latest keyword if its name is `name`; otherwise ignore the line."""
+        """Add a data line to the latest keyword if its name is `name`; otherwise ignore the line.
+
+        Raise RefusedError if the data lines have more than `MOST_CHARACTERS` characters in all.
+        """
         if not self.keywords or self.keywords[-1].name != name:
             return
         self.n_characters += len(line)
@@ -100,7 +106,10 @@ class Constraints:
 
 
 def add_set(found: Constraints, one: Keyword) -> None:
-    """Add the members listed under an NSET or ELSET keyword, without duplicates. A set may name earlier sets."""
+    """Add the members listed under an NSET or ELSET keyword, without duplicates.
+
+    A set may name earlier sets; unknown names are ignored.
+    """
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
     for words in one.rows():
@@ -135,7 +144,7 @@ def require_node(node: int, places: Mapping[int, tuple[float, float, float]], so
 
 
 def whole(word: str, what: str) -> int:
-    """Convert a word to int. Raise ValueError if it is not a whole number.
+    """Convert a word to int. Raise ValueError unless it consists of one to ten digits.
 
     `what` describes the word in the error message.
     """

@@ -16,7 +16,7 @@ from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
 RANK = 1e-10
-"""Smallest pivot of a constraint, relative to its largest, that defines a dependent degree of freedom."""
+"""Smallest singular value, relative to the largest, at which a matrix still determines the dependents."""
 NEGLIGIBLE = 1e-14
 """Weights below this, relative to the largest in an equation, are rounding errors."""
 

@@ -45,7 +45,7 @@ class Constraints:
     selected : dict of str to set of int
         Sets that the case control selects, keyed by kind: ``"MPC"`` or ``"SPC"``.
     is_deck : bool
-        Whether there is case control.
+        Whether the file has ``BEGIN BULK``, and so may have case control before it.
     unread : dict of str to int
         Number of skipped entries, keyed by entry name.
     n_fields : int
@@ -72,7 +72,11 @@ class Constraints:
     is_of_mystran: bool = False
 
     def add(self, name: str, fields: list[str]) -> None:
-        """Store a bulk data entry if it defines or selects constraints; ignore all other entries."""
+        """Store an entry of the bulk data, case control or executive control that concerns constraints.
+
+        Other entries are ignored. Raise RefusedError if the constraints have more than `MOST_FIELDS` fields in
+        all.
+        """
         if name in ENTRIES:
             self.n_fields += len(fields)
             if self.n_fields > MOST_FIELDS:
@@ -99,6 +103,8 @@ class Constraints:
 
     def sets(self, kind: str, known: Sequence[int]) -> list[int]:
         """Return the ids of the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
+
+        `known` lists the ids of the sets in the bulk data; without case control, all of them are active.
 
         Raises
         ------
@@ -127,6 +133,8 @@ def equations_of(
 ) -> list[Equation]:
     """Return the equations of all active constraints, along each node's own axes.
 
+    A note on each RBE3 for which MYSTRAN has other equations is added to `constraints.notes`.
+
     Parameters
     ----------
     constraints : Constraints
@@ -138,7 +146,8 @@ def equations_of(
     Raises
     ------
     RefusedError, ValueError
-        If an entry is malformed, names an unknown node or does not determine its dependents.
+        If an entry is malformed, names an unknown node or does not determine its dependents, if there are too many
+        rigid elements, or if the case control selects no valid set; see `Constraints.sets`.
     """
     found: list[Equation] = []
     for name, fields in constraints.rigid:

@@ -130,8 +130,8 @@ def mean_motion(
     Raises
     ------
     RefusedError
-        If the weights are not positive, or the followed components do not determine the components of the
-        reference point.
+        If a weight is negative or not finite, all weights are zero, or the followed components do not determine
+        the components of the reference point.
     """
     names = [name for point, which, _ in followed for name in point.names(which)]
     H = np.concatenate([_rows(point, which, reference) for point, which, _ in followed])
@@ -163,7 +163,7 @@ def _rows(point: Point, components: Sequence[int], reference: Point) -> FloatArr
 def _length(points: Sequence[Point], reference: Point) -> FloatArray:
     """Return scale factors for a rigid motion, shape (6,): 1 for displacements and 1/L for rotations.
 
-    L is the largest distance between the reference and the points.
+    L is the largest distance between the reference and the points, or 1 if they coincide.
     """
     size = max(float(np.linalg.norm(point.place - reference.place)) for point in points)
     return np.array([1.0] * 3 + [1.0 / size if size > 0.0 else 1.0] * 3)

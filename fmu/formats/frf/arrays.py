@@ -95,8 +95,8 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
     Raises
     ------
     ModesError
-        If there are no frequencies or FRFs, if their shapes do not match, or if points are neither in the file nor
-        given.
+        If there are no frequencies or FRFs, if their shapes do not match, if an array is not numeric or too large,
+        if `wanted` names an unknown array or FRF, or if points are neither in the file nor given.
     """
     found = {attribute: _find(name, arrays, attribute, wanted.variables) for attribute in NAMES}
     for attribute in ("frequencies_hz", "values"):
@@ -161,7 +161,7 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
     """Read all numeric and text arrays in an HDF5 file, such as a MATLAB 7.3 file.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
-    numbers as pairs.
+    numbers as pairs; both are converted. Raise ValueError if there are too many arrays, or one is too large.
     """
     import h5py
 
@@ -181,7 +181,10 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
-    """Return the numbers or text in a dataset, or None if it contains neither."""
+    """Return the numbers or text in a dataset, or None if it contains neither.
+
+    The axes are reversed if MATLAB wrote the dataset. Raise ValueError if it is larger than `LARGEST_CONTENT`.
+    """
     if dataset.nbytes > LARGEST_CONTENT:
         raise ValueError(f"must hold at most {LARGEST_CONTENT} bytes (got {dataset.nbytes})")
     if dataset.dtype.kind == "O":
@@ -219,7 +222,10 @@ def _numbers(name: str, attribute: str, array: AnyArray | None) -> AnyArray:
 
 
 def _rows(name: str, attribute: str, array: AnyArray, n_lines: int, lines_first: bool) -> AnyArray:
-    """Return an array of FRFs rearranged to one row per FRF, shape (n_frfs, n_lines)."""
+    """Return an array of FRFs rearranged to one row per FRF, shape (n_frfs, n_lines).
+
+    Raise ModesError if neither its first nor its last axis has `n_lines` entries, or it has more than three axes.
+    """
     if array.ndim < 2:
         array = array.reshape(1, -1)
     axes = [axis for axis in (0, array.ndim - 1) if array.shape[axis] == n_lines]
@@ -231,7 +237,10 @@ def _rows(name: str, attribute: str, array: AnyArray, n_lines: int, lines_first:
 
 
 def _points(array: AnyArray | None) -> Points | None:
-    """Return points from text rows "place direction", or from two columns with places and directions."""
+    """Return points from text rows "place direction", or from two columns with places and directions.
+
+    Return None if there is no array, or it is not text.
+    """
     if array is None or array.dtype.kind != "U":
         return None
     rows = array.reshape(-1, array.shape[-1]) if array.ndim == 2 else np.ravel(array)[:, None]

@@ -72,9 +72,9 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
 
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
-        """Return a copy with only the FRFs whose numbers (from 1) are in `frfs`, or with all FRFs if it is None.
+        """Return the FRFs whose numbers (from 1) are in `frfs`, or all of them if it is None.
 
-        `name` is the file name for messages.
+        Raise ModesError if a number is missing; `name` is the file name for the message.
         """
         if frfs is None:
             return self
@@ -115,7 +115,7 @@ class FRFFormat:
 def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
     """Convert FRF numbers, counted from 1, to row indices.
 
-    Raise ModesError unless all numbers are between 1 and `n`.
+    Raise ModesError if there are no numbers, or one is not between 1 and `n`.
     """
     wrong = [number for number in frfs if not 1 <= number <= n]
     if wrong or len(frfs) == 0:
@@ -124,7 +124,7 @@ def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
 
 
 def point_of(text: str) -> Dof:
-    """Parse a point such as ``"tip -z"`` or ``"12 x"`` into its place and direction."""
+    """Parse a point such as ``"tip -z"`` or ``"12 x"`` into its place (an int if it is a number) and direction."""
     place, _, direction = text.strip().rpartition(" ")
     place = place.strip()
     return (int(place) if _NUMBER.fullmatch(place) else place, direction)
@@ -135,7 +135,7 @@ def points_in_order(
 ) -> tuple[Dof, ...]:
     """Return the `given` points or, if none are given, the points `found` in the file.
 
-    Raise ModesError unless there are `n` points.
+    Raise ModesError if there are neither, or not `n` points.
     """
     points = found if given is None else given
     if points is None:

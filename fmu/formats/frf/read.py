@@ -21,9 +21,10 @@ def read_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     FileNotFoundError
         If there is no such file.
     ImportError
-        If a library that reads the format is not installed.
+        If the file is a universal file, and pyuff is not installed.
     ValueError
-        If the suffix is unknown, an argument does not apply to the format, or the requested FRFs are missing.
+        If the suffix is unknown, an argument does not apply to the format, the file is invalid, the requested FRFs
+        are missing, or h5py is needed and not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in _FORMAT_OF:

@@ -50,14 +50,14 @@ _Columns = dict[str, FloatArray]
 
 
 def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Read the FRFs in a text table.
+    """Read the FRFs in a text table. Coherence and standard deviations are dropped unless all FRFs have them.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists every error with its line and column.
+        If the table is invalid; the message lists the errors with their lines and columns.
     """
     header, rows = read_table(path, MOST_ROWS)
     if _FREQUENCY not in header:
@@ -90,7 +90,8 @@ def _read_wide(
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
     """Read a table with one row per frequency line.
 
-    Return the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
+    Return the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive). Errors
+    are appended to `found`.
     """
     frfs: dict[tuple[str, str], _Columns] = {}
     for name in header:
@@ -111,7 +112,8 @@ def _read_long(
 ) -> tuple[FloatArray, dict[tuple[str, str], _Columns]]:
     """Read a table with one row per FRF value.
 
-    Return the frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response, drive).
+    Return the distinct frequencies in Hz, shape (n_lines,), and the columns of each FRF, keyed by (response,
+    drive), with NaN for missing rows. Errors are appended to `found`, or raised as a ModesError.
     """
     parts = [name for name in header if name not in (_FREQUENCY, *_POINTS)]
     allowed = [*(name for pair in _PAIRS for name in pair), *_OPTIONAL]

@@ -50,8 +50,8 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     FileNotFoundError, ImportError
         If the file does not exist, or pyuff is not installed.
     ModesError
-        If the file cannot be read; if it has no FRFs, or FRFs with different lines, kinds or units; or if an FRF
-        has no direction along a global axis.
+        If the file cannot be read; if it has no FRFs, or FRFs with different lines, kinds or units; if the
+        requested FRFs are missing; or if an FRF has no direction along a global axis and its points are not given.
     """
     kinds = (FUNCTIONS, UNITS, *SYSTEMS, *NODES)
     sets = read_datasets(checked_file(path, LARGEST_FILE), kinds, "FRFs", _wrong)
@@ -133,7 +133,10 @@ class _Axes:
         return found
 
     def _direction(self, node: int, number: int, where: str, mistakes: list[str]) -> str:
-        """Convert a node's local direction, numbered from ±1 to ±6, to a global direction."""
+        """Convert a node's local direction, numbered from ±1 to ±6, to a global direction.
+
+        An error is appended to `mistakes` if the local axis is not along a global axis, or its system is invalid.
+        """
         system = self._system.get(node, 0)
         about, k = divmod(abs(number) - 1, 3)
         try:
@@ -150,7 +153,10 @@ class _Axes:
 
 
 def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
-    """Return the number and definition of each coordinate system in a type 18 or 2420 dataset."""
+    """Return the number and definition of each coordinate system in a dataset of type 18 or 2420.
+
+    The list is empty for other types.
+    """
     found = []
     if one["type"] == SYSTEMS[0]:
         columns = (one[key] for key in ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point"))
@@ -169,7 +175,7 @@ def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return error messages for malformed content in a dataset. pyuff does not check the content."""
+    """Return error messages for malformed content in a dataset, which pyuff does not check."""
     if one["type"] in SYSTEMS:
         kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
         return (
@@ -196,7 +202,10 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
-    """Return the frequency lines in Hz, shape (n_lines,). Raise ModesError unless all FRFs have the same lines."""
+    """Return the frequency lines in Hz, shape (n_lines,).
+
+    Raise ModesError unless all FRFs have the same lines, within `_SAME_LINES`.
+    """
     lines = np.asarray(frfs[0]["x"], dtype=float)[: frfs[0]["num_pts"]]
     for k, one in enumerate(frfs, 1):
         x = np.asarray(one["x"], dtype=float)[: one["num_pts"]]
@@ -209,7 +218,11 @@ def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
 
 
 def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
-    """Return the kind that all FRFs share, or None if the file does not specify it."""
+    """Return the kind that all FRFs share, or None if the file does not specify it.
+
+    Raise ModesError if the kinds differ, or one is not displacement, velocity or acceleration per force or its
+    inverse.
+    """
     found = set()
     for one in frfs:
         top, bottom = int(one["ordinate_spec_data_type"]), int(one["orddenom_spec_data_type"])
@@ -229,7 +242,10 @@ def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
 
 
 def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
-    """Return 1 m and 1 N expressed in the file's units, and notes on the units that were assumed."""
+    """Return 1 m and 1 N expressed in the file's units, and notes on the units that were assumed.
+
+    SI units are assumed if the file gives none. Raise ModesError if it gives several.
+    """
     factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
     if len(factors) > 1:
         raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
@@ -248,7 +264,7 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
 
 
 def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
-    """Return the coherence of each FRF, shape (n_frfs, n_lines), or None unless all FRFs have one."""
+    """Return the coherence of each FRF, shape (n_frfs, n_lines), or None unless all FRFs have one at all lines."""
     ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
     of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
     rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]

@@ -55,15 +55,16 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
     Returns
     -------
     matrix : scipy.sparse.csr_array, shape (n_dof, n_dof)
-        Both triangles, even if ``MATRIX INPUT`` has only one entry of each pair; degrees of freedom in ascending
-        order.
+        For ``MATRIX INPUT``, both triangles, even if the file has only one entry of each pair, and degrees of
+        freedom in ascending order. For ``COORDINATE``, as in the file.
     dofs : tuple of (node, direction), or None
         None for ``COORDINATE``.
 
     Raises
     ------
     ValueError
-        If the lines have neither three nor five numbers, or a degree of freedom is not one of 1 to 6.
+        If the lines have neither three nor five numbers, there are no lines, a number is not whole, or a degree of
+        freedom is not one of 1 to 6.
     RefusedError
         If there are too many entries or rows.
     """
@@ -125,9 +126,10 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     Raises
     ------
     ValueError
-        If an element has a wrong number of nodes or entries, or wrong directions.
+        If an element has a wrong number of nodes or entries, or directions other than 1 to 6.
     RefusedError
-        If there is no matrix with this name, or there are too many entries.
+        If there is no matrix with this name, both are there and `variable` is None, an element occurs twice or has
+        an unsymmetric matrix, or there are too many entries.
     """
     places, entries, n, held = list[IntArray](), list[FloatArray](), 0, 0
     kinds, seen, index = dict[str, None](), set[tuple[str, str]](), dict[int, int]()
@@ -224,7 +226,10 @@ def _elements(lines: Iterable[str]) -> Iterator[_Element]:
 
 
 def _codes(nodes: list[int], of_node: dict[int, list[int]], n_nodes: int) -> list[int]:
-    """Return an element's degrees of freedom, node by node, coded as 8 × node + direction."""
+    """Return an element's degrees of freedom, node by node, coded as 8 × node + direction.
+
+    Raise ValueError if nodes are missing, or a direction is not one of 1 to 6.
+    """
     if not 1 <= n_nodes <= _MOST_NODES or len(nodes) != n_nodes:
         raise ValueError(f"an element must have the nodes that it names (got {len(nodes)} of {n_nodes})")
     codes: list[int] = []
@@ -253,7 +258,11 @@ def _without_keywords(text: str) -> str:
 
 
 def _places(names: FloatArray) -> IntArray:
-    """Return the row and column of each entry, shape (n, 2), coded as 8 × node + degree of freedom."""
+    """Return the row and column of each entry, shape (n, 2).
+
+    For ``MATRIX INPUT``, they are coded as 8 × node + degree of freedom. Raise ValueError if a number is not whole
+    or out of range.
+    """
     if np.any(names != np.floor(names)) or np.any(names < 1) or np.any(names > LARGEST_NUMBER):
         raise ValueError(
             f"nodes, degrees of freedom, rows and columns must be whole numbers from 1 to {LARGEST_NUMBER}"

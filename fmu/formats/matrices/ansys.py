@@ -32,10 +32,14 @@ NAMES = ("stiffness", "mass")
 def full_arrays(path: Path) -> dict[str, AnyArray]:
     """Read the arrays in a ``.full`` file, keyed by name; ansys-mapdl-reader must be installed.
 
+    An absent matrix has no arrays.
+
     Raises
     ------
     ValueError
         If the file is cut short, or has constraint equations, which the library does not apply.
+    RefusedError
+        If there are too many rows.
     """
     from ansys.mapdl.reader.common import read_table
     from ansys.mapdl.reader.full import FullFile

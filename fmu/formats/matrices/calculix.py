@@ -48,9 +48,9 @@ def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
     Raises
     ------
     ValueError
-        If a line is not row, column and entry, with row and column whole numbers from 1.
+        If there are no lines, or a line is not row, column and entry, with row and column whole numbers from 1.
     RefusedError
-        If there are too many entries, or the number of rows is not `n_dof`.
+        If there are too many entries, both entries of a symmetric pair, or not `n_dof` rows.
     """
     rows, columns, entries, n = [], [], [], 0
     for table in tables(file, None):
@@ -84,6 +84,8 @@ def names(path: Path) -> list[tuple[int, str]]:
     ------
     ValueError
         If a line is not ``node.direction``.
+    RefusedError
+        If there are too many rows.
     """
     found: list[tuple[int, str]] = []
     with open(path, "rb") as file:
@@ -128,7 +130,7 @@ class _Expansion(NamedTuple):
 
 
 def _expansion(path: Path) -> _Expansion:
-    """Read the expanded nodes from ``job.12d``. The result is an empty expansion if there is no such file."""
+    """Read the expanded nodes from ``job.12d``. The result is empty if that file is missing or too large."""
     found = _Expansion({}, set())
     if why_no_file(path) or too_large(path, LARGEST_FILE):
         return found

@@ -54,6 +54,9 @@ def read(path: Path, variable: str | None) -> Labelled:
 
     Raises
     ------
+    RefusedError
+        If the file has no such matrix, has several and `variable` is None, or the matrix is not numeric or too
+        large.
     Exception
         Any error that h5py and SciPy raise on a broken file.
     """

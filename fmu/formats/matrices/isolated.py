@@ -45,7 +45,8 @@ def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str
     Raises
     ------
     RefusedError
-        If the library is not installed, or the reader's process raises an error, crashes or takes too long.
+        If the library is not installed, or the reader's process raises an error, crashes, takes too long or
+        returns too much.
     """
     if not _is_installed(library):
         raise RefusedError(f"needs a library that is not installed: pip install 'fmu[{extra}]'")

@@ -158,9 +158,10 @@ def rows_within(n_rows: int) -> None:
 
 
 def check_indices(matrix: sp.sparray) -> None:
-    """Raise ValueError if a compressed sparse matrix has an index out of range.
+    """Raise ValueError if a compressed sparse matrix has an index out of range, or pointers that decrease.
 
-    SciPy's full check misses wrong index pointers if the last pointer is zero or a difference overflows.
+    Other matrices pass. SciPy's full check misses wrong index pointers if the last pointer is zero or a difference
+    overflows.
     """
     if matrix.format not in ("csr", "csc"):
         return
@@ -255,7 +256,8 @@ def tables(
     Raises
     ------
     ValueError
-        If the file is not text, a word is not a number, or the rows do not all have the same number of values.
+        If the file is not text, a word is not a number, the rows do not all have the same number of values, or
+        more than `MOST_IDLE` blocks in a row have no numbers.
     """
     columns, idle = 0, 0
     for text in text_blocks(file):

@@ -42,7 +42,10 @@ _HEAD = 4096
 
 
 class _Variable(NamedTuple):
-    """A matrix's header and its location in the file; `field` is its index among the parts of a struct."""
+    """A matrix's header and its location in the file.
+
+    `field` is its index among the parts of a struct, or None if it is not in a struct.
+    """
 
     kind: int
     shape: tuple[int, ...]
@@ -56,7 +59,8 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     """Read a matrix from a MATLAB file, with its row names if the file has them.
 
     A matrix in a struct is named ``model.K``. Row names are stored in a matrix ``dofs`` in the same struct or
-    file, one row per degree of freedom: the node id, and a number from 1 to 6 for x, y, z, rx, ry, rz.
+    file, one row per degree of freedom: the node id, and a number from 1 to 6 for x, y, z, rx, ry, rz. A matrix
+    ``dofs`` of another shape is ignored.
 
     Parameters
     ----------
@@ -75,7 +79,8 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     ValueError
         If the content is broken.
     RefusedError
-        If there is no such matrix, or the matrix is complex or too large.
+        If there is no such matrix, there are several and `variable` is None, or the matrix is complex or too
+        large; or if the row names are invalid.
     """
     file.seek(126)
     order = {b"IM": "<", b"MI": ">"}.get(file.read(2))
@@ -196,7 +201,10 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
 
 
 def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Yield the type and bytes of each part of a matrix. With `cut`, skip a truncated last part."""
+    """Yield the type and bytes of each part of a matrix.
+
+    If the last part is truncated, skip it with `cut`; otherwise raise ValueError.
+    """
     at = 0
     while at + 8 <= len(body):
         kind, size = np.frombuffer(body, f"{order}u4", 2, at).tolist()

@@ -109,7 +109,10 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
 
 
 def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
-    """Return the numbers of rows and columns if they are literals or variables set to literals, otherwise None."""
+    """Return the numbers of rows and columns if they are literals or variables set to literals.
+
+    Return None if they are anything else, or not given.
+    """
     found = []
     for word in words or ():
         number = re.fullmatch(r"\d{1,9}", word) or re.search(rf"(?<![\w.]){word}\s*=\s*(\d{{1,9}})\s*[;,\n]", text)

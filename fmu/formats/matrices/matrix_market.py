@@ -123,7 +123,11 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
 
 
 def _count_stored(rows: int, columns: int, sign: float) -> int:
-    """Return how many values the array layout stores: one triangle for a symmetric matrix, otherwise all."""
+    """Return how many values the array layout stores.
+
+    These are one triangle for a symmetric matrix, without the diagonal if it is skew-symmetric, and otherwise all.
+    Raise ValueError if a symmetric matrix is not square.
+    """
     if not sign:
         return rows * columns
     if rows != columns:
@@ -132,7 +136,10 @@ def _count_stored(rows: int, columns: int, sign: float) -> int:
 
 
 def _numbers(file: BinaryIO, announced: int, columns: int) -> FloatArray:
-    """Read the table of numbers in a file, shape (announced, columns)."""
+    """Read the table of numbers in a file, shape (announced, columns).
+
+    Raise RefusedError if there are more or fewer rows than announced.
+    """
     found = np.empty((announced, columns))
     n = 0
     for rows in tables(file, "%"):
@@ -162,7 +169,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
     """Build a matrix (rows, columns) from its values in column order.
 
-    A symmetric one is given by its lower triangle.
+    A symmetric or skew-symmetric matrix is given by its lower triangle.
     """
     if not sign:
         return values.reshape((rows, columns), order="F")

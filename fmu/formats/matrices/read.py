@@ -14,8 +14,9 @@
 ``.sti``, ``.mas``     CalculiX, with row names in the ``.dof`` file (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
-An n × 3 array in any of these files is a sparse matrix: row, column (both counted from 1) and entry, as for
-MATLAB's ``spconvert``. If only one triangle has entries, the other is filled in, and a note says so.
+A full n × 3 array with n > 3 is taken for a sparse matrix if its first two columns are whole numbers from 1: row,
+column and entry, as for MATLAB's ``spconvert``. If only one triangle has entries, the other is filled in, and a
+note says so.
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. fmu has its own readers where
 SciPy's readers crash the process on broken files (``.mat``, ``.mtx``). The library that reads Ansys files also
@@ -107,7 +108,8 @@ def read_labelled(
     ------
     ValueError
         If the file does not exist, is too large or of an unknown format, or contains no real, finite, square and
-        symmetric matrix. The message begins with ``variable:`` or ``triangle:`` if that argument is at fault.
+        symmetric matrix; or if the library that reads it is not installed. The message begins with ``variable:``
+        or ``triangle:`` if that argument is at fault.
     """
     suffix = _suffix(path)
     advice = how_to_export(suffix)
@@ -161,7 +163,8 @@ def symmetric_matrix(matrix: Matrix, triangle: Triangle = False) -> sp.csr_array
     Raises
     ------
     ValueError
-        If the matrix is not real and symmetric.
+        If the matrix is not real, finite, square and symmetric, is too large, or has entries that contradict
+        `triangle`.
     """
     return _symmetric(_real_square(matrix), triangle)
 
@@ -172,7 +175,7 @@ def _suffix(path: Path) -> str:
 
 
 def _is_triplets(matrix: Matrix) -> bool:
-    """Return True if an array is a table (n, 3) with one row, column and value per entry of a sparse matrix."""
+    """Return True if an array is a table (n, 3), n > 3, with row, column and value of each sparse-matrix entry."""
     if sp.issparse(matrix) or matrix.ndim != 2 or matrix.shape[1] != 3 or len(matrix) < 4:
         return False
     places = matrix[:, :2]
@@ -223,7 +226,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice for the user if a matrix has entries in only one triangle, otherwise an empty string."""
+    """Return advice for the user if a matrix has entries in only one triangle, or an empty string if in both."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""

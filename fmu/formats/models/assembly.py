@@ -61,8 +61,8 @@ def assemble(
     Raises
     ------
     ValueError
-        If rows have no names, a matrix has no row in common with the first, no row is left, or the constraints of
-        the mesh contradict each other (``mesh:``).
+        If rows have no names or repeated names, a matrix has no row in common with the first, no row is left, or
+        the constraints of the mesh cannot be applied (``mesh:``).
     """
     assumed: dict[str, str] = {}
     named = [_name_rows(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
@@ -112,7 +112,8 @@ def notes_of(read: Sequence[Labelled]) -> list[str]:
 def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -> tuple[DofName, ...]:
     """Return a matrix's row names, or the names in the mesh set of the same size if the file gives none.
 
-    A note that names the assumed set is then added to `assumed`.
+    In the second case, a note that names the set is added to `assumed`. Raise ArgumentError if no set has that
+    size, or if the names in the file are repeated or differ in number from the rows.
     """
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:

@@ -104,7 +104,7 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
 
 
 def _is_ascending(sequence: str) -> bool:
-    """Return True if MYSTRAN sorts its rows by node id (PARAM,GRIDSEQ,GRID), or False for INPUT.
+    """Return True if MYSTRAN sorts its rows by node id (PARAM,GRIDSEQ,GRID), otherwise False (INPUT).
 
     Raise RefusedError for BANDIT.
     """
@@ -209,7 +209,7 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
 def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:
     """Return the degrees of freedom fixed by GRID entries and by the active SPC sets.
 
-    `permanent` are the components that GRDSET fixes by default.
+    `permanent` contains the components that GRDSET fixes by default.
     """
     held = {node: deck.permanent.get(node, permanent) for node in deck.grids}
     for one in deck.constraints.sets("SPC", sorted(deck.held)):

@@ -45,6 +45,8 @@ def constrain(
 ) -> Constrained:
     """Return matrices without dependent and fixed degrees of freedom, together with T in u = T q.
 
+    If the mesh has constraints that the program has applied already, the matrices are returned unchanged.
+
     Parameters
     ----------
     matrices : sequence of csr_array, shape (n_dof, n_dof)
@@ -55,12 +57,13 @@ def constrain(
         Motions that are weighted sums of rows, in which constraints may be expressed; see `Motions`.
     is_whole : bool
         Whether the rows are known to include all degrees of freedom of the mesh, so that neither constraints nor
-        supports have been applied.
+        supports have been applied. If a dependent degree of freedom has a nonzero row, this is assumed.
 
     Raises
     ------
     RefusedError
-        See `transformation`; or if a constraint couples too many degrees of freedom.
+        See `transformation`; or if the constraints couple too many degrees of freedom, or give matrices that are
+        not finite.
     """
     has_row = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) > 0.0
     rows = {name for name, there in zip(dofs, has_row.tolist(), strict=True) if there}
@@ -116,6 +119,8 @@ def motions_of(
     T: Transformation, dofs: Sequence[DofName], turn: sp.csr_array | None, axes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
     """Return the motions of nodes with dependent degrees of freedom along global axes, and notes.
+
+    Nodes that follow degrees of freedom without rows are left out, and a note lists them.
 
     Parameters
     ----------

@@ -62,7 +62,11 @@ class Systems:
     _places: dict[int, FloatArray] = field(default_factory=dict)
 
     def place(self, node: int, depth: int = 0) -> FloatArray:
-        """Return a node's position in global coordinates, shape (3,)."""
+        """Return a node's position in global coordinates, shape (3,).
+
+        `depth` counts the references followed so far. Raise RefusedError if a node or system is not defined, or
+        systems refer to themselves.
+        """
         if node not in self._places:
             if node not in self.given:
                 raise RefusedError(f"must have the node {node}, a point of a coordinate system (it has not)")
@@ -71,7 +75,10 @@ class Systems:
         return self._places[node]
 
     def axes(self, system: int, node: int) -> FloatArray:
-        """Return a system's unit vectors at a node, as rows in global coordinates, shape (3, 3)."""
+        """Return a system's unit vectors at a node, as rows in global coordinates, shape (3, 3).
+
+        Raise RefusedError under the same conditions as `place`.
+        """
         if system == 0:
             return np.eye(3)
         origin, own = self._frame(system, 0)

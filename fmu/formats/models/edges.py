@@ -11,7 +11,8 @@ MOST_EDGES = 1000
 """Number of edges above which only some are plotted: edges at a border, at an angle, or between two boxes in
 space."""
 _BOXES = (10, 5, 2, 1)
-"""Numbers of boxes along a mesh's longest side; the first that gives at most 2 `MOST_EDGES` lines is used."""
+"""Numbers of boxes along a mesh's longest side. The first that gives at most 2 `MOST_EDGES` lines is used, or the
+last."""
 _ANGLE = np.cos(np.radians(30.0))
 FACES = {
     "triangle": ((0, 1, 2, 2),),
@@ -34,7 +35,8 @@ SOLID_EDGES = {
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
     """Return the lines to plot, each as the row indices of its two ends in `mesh.nodes`, shape (n_lines, 2).
 
-    Midside nodes are skipped. For solids, only the surfaces are plotted.
+    Midside nodes are skipped. For solids, only the surfaces are plotted. If faces have more than `MOST_EDGES`
+    edges, some are left out.
     """
     lines, faces = _lines_and_faces(mesh)
     drawn = [lines, _of_faces(faces, mesh.coordinates)]

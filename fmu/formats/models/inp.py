@@ -58,9 +58,10 @@ def parse(lines: Iterator[str]) -> Mesh:
     Raises
     ------
     RefusedError
-        If the deck generates nodes, includes files, has parts, or too many nodes or elements.
+        If the deck generates nodes, includes files, has parts, no nodes, or too many nodes or elements; or if a
+        constraint cannot be read.
     ValueError
-        If a line of a node or an element is malformed.
+        If a line of a node, an element, a set or a constraint is malformed.
     """
     nodes: dict[int, tuple[float, float, float]] = {}
     constraints = Constraints()
@@ -157,7 +158,7 @@ def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
 
 
 def kind_of(name: str) -> tuple[str, int]:
-    """Return meshio's name and the node count for an element type. An unknown type gives ("", 0)."""
+    """Return meshio's name and the node count for an element type. The name is empty if the type is unknown."""
     for pattern, kinds in _TYPES:
         found = re.match(pattern, name)
         if found is None:

@@ -78,7 +78,8 @@ def read_model(
     Returns
     -------
     ExportedModel
-        The model along global axes, without rows that have no stiffness and mass or that Abaqus marks as fixed.
+        The model along global axes, without rows that have no stiffness and mass, that Abaqus marks as fixed, or
+        that the mesh's constraints and supports eliminate.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def read_ties(
     Raises
     ------
     ValueError
-        If there is no mesh, the file has no modes, or it has no tied nodes.
+        If there is no mesh, the file does not exist or has no modes, or it has no tied nodes.
     """
     if mesh is NO_MESH:
         raise ValueError("needs a mesh: the weights of tied nodes come from the elements' faces")
@@ -182,13 +183,15 @@ def _mesh_of(path: Path) -> Mesh:
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
-    """Read row names, one ``node,direction`` per line. Blanks may replace commas. A title line is skipped.
+    """Read row names, one ``node,direction`` per line.
+
+    Blanks may replace commas. A title in the first line is skipped.
 
     Raises
     ------
     ValueError
-        If the file does not exist, or a line does not name a node and one of the directions x, y, z, rx, ry, rz or
-        1 to 6.
+        If the file does not exist or is too long, or a line does not name a node and one of the directions x, y,
+        z, rx, ry, rz or 1 to 6.
     """
     _require_file(path)
     names: list[DofName] = []
@@ -223,7 +226,10 @@ def require_nodes(
 
 
 def _both(path: Path) -> tuple[str, str]:
-    """Return the names of the stiffness and mass matrices in a file with several matrices."""
+    """Return the names of the stiffness and mass matrices in a file with several matrices.
+
+    Raise ValueError if the file has only one matrix, or the names do not form exactly one pair.
+    """
     try:
         read_labelled(path)
     except ValueError as error:
@@ -245,7 +251,8 @@ def _both(path: Path) -> tuple[str, str]:
 def read_beside(path: Path) -> list[Path]:
     """Return the files that are read together with `path` although the problem file does not name them.
 
-    These are the mass matrix and the row names, or the files that a Nastran deck includes.
+    For CalculiX and Abaqus, these are the mass matrix, the row names and the list of expanded nodes, which need
+    not exist. For Nastran, they are the files that a deck includes, or none if the deck cannot be read.
     """
     if path.suffix.lower() in INCLUDING:
         try:
@@ -269,7 +276,7 @@ def _is_pair(K: str, M: str) -> bool:
 
 
 def _mass_beside(path: Path) -> Path | None:
-    """Return the mass file that a program writes next to the stiffness file, or None if one file contains both."""
+    """Return the mass file that CalculiX or Abaqus writes next to the stiffness file, or None for other files."""
     if path.suffix.lower() == ".sti":
         return path.with_suffix(".mas")
     if path.suffix.lower() == ".mtx" and "_STIF" in path.name:

@@ -1,7 +1,7 @@
-"""Displacements of nodes that CalculiX ties to an element face (``*TIE``), which have no rows in its matrices.
+"""Displacements of tied nodes (``*TIE``), for which CalculiX's matrices have no rows, from those of a face.
 
 CalculiX does not write the tie equations, but it prints the modes at tied nodes too. A node that moves but has no
-row is projected onto the nearest faces. If the shape functions at the projection reproduce the printed
+row is therefore projected onto the nearest faces. If the shape functions at the projection reproduce the printed
 displacements, they are the weights of the face's nodes.
 """
 

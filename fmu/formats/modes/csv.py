@@ -97,7 +97,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists every error with its line and column.
+        If the table is invalid; the message lists the errors with their lines and columns.
     """
     header, rows = read_table(path)
     found = [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
@@ -131,7 +131,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists every error with its line and column.
+        If the table is invalid; the message lists the errors with their lines and columns.
     """
     header, rows = read_table(path)
     found = [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
@@ -164,7 +164,7 @@ def read_points(path: Path) -> dict[str, FloatArray]:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists every error with its line and column.
+        If the table is invalid; the message lists the errors with their lines and columns.
     """
     header, rows = read_table(path)
     wanted = ("point", "x", "y", "z")
@@ -192,7 +192,7 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists every error with its line and column.
+        If the table is invalid; the message lists the errors with their lines and columns.
     """
     header, rows = read_table(path)
     found: list[str] = []
@@ -208,7 +208,7 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str] | None = None) -> Campaign:
-    """Read a table of tests from a campaign.
+    """Read a table of tests from a campaign. The names may also be in a column ``test``.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists every error with its line and column.
+        If the table is invalid; the message lists the errors with their lines and columns.
     """
     header, rows = read_table(path)
     name = _TEST if _TEST in header and _NAME not in header else _NAME
@@ -260,7 +260,10 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
 
 
 def _frequencies(rows: Sequence[Row], labels: Sequence[str], found: list[str]) -> FloatArray:
-    """Return the frequencies in the columns `labels`, shape (n_rows, n_labels), with NaN for missed modes."""
+    """Return the frequencies in the columns `labels`, shape (n_rows, n_labels), with NaN for missed modes.
+
+    For each invalid cell, an error is appended to `found`, and the frequency is NaN.
+    """
     values = [
         [
             np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
@@ -279,7 +282,8 @@ def read_table(path: Path, most_rows: int = MOST_ROWS) -> tuple[list[str], list[
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file is not a table, or has more than `most_rows` rows; the message lists every error with its line.
+        If the file is not a table, or has more than `most_rows` rows. The message lists the errors with their
+        lines.
     """
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")

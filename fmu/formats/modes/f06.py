@@ -91,7 +91,7 @@ def _read_printed(
 ) -> tuple[FloatArray, FloatArray | None, list[int]]:
     """Return the frequencies in Hz, the shapes and the mode numbers; see `read_f06`.
 
-    The shapes are None if there are no sensors.
+    The shapes are None if there are no sensors. A frequency that is not printed is 0.
     """
     path = checked_file(file)
     if path.suffix.lower() in (".op2", ".xdb"):

@@ -54,7 +54,7 @@ class ModesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Measured frequencies and, if known, shapes and standard deviations, as `fmu.ModalData` takes them.
+    """Measured frequencies and, if known, shapes and standard deviations, in the form accepted by `fmu.ModalData`.
 
     Attributes
     ----------
@@ -142,9 +142,9 @@ def modes_chosen(
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 
-    The value is 1 for a real shape of any phase, and 0 if the components are evenly distributed over all phases
-    (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: the eigenvalue ratio,
-    expanded).
+    The value is 1 for a real shape of any phase, 0 if the components are evenly distributed over all phases, and
+    NaN for a zero shape (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: the
+    eigenvalue ratio, expanded).
     """
     phi = np.asarray(shapes, dtype=complex)
     length = np.sum(np.abs(phi) ** 2, axis=0)
@@ -198,7 +198,7 @@ def checked_file(path: Path, most: int | None = None) -> Path:
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If there is no such file, or it is a directory or not readable.
     ModesError
         If the file is larger.
     """

@@ -66,8 +66,9 @@ def pyoma_modes(
     Raises
     ------
     ModesError
-        If the result has no modes, as before ``mpe``, does not have one channel per sensor, or has frequencies or
-        standard deviations that are not positive numbers.
+        If the result has no modes, as before ``mpe``, lacks one of `modes`, does not have one channel per sensor,
+        or has frequencies or standard deviations that are not positive numbers; or if the phase collinearity of a
+        shape is below `least_mpc`.
 
     Notes
     -----
@@ -128,9 +129,10 @@ def pyoma_modes(
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
     """Return standard deviations for shapes scaled to unit length, shape (n_sensors, n_modes).
 
-    Return None if there is only one sensor. The component that scales a shape has no standard deviation. It is
-    given `FIXED` times the smallest standard deviation of the other components. This changes the variance of any
-    ratio by at most a fraction `FIXED`².
+    Return None if there is only one sensor. The component that scales a shape has a standard deviation of zero in
+    `phi_std`. It is given `FIXED` times the smallest standard deviation of the other components. This changes the
+    variance of any ratio by at most a fraction `FIXED`². Raise ArgumentError if a standard deviation is negative
+    or not finite, or several in a mode are zero.
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")
@@ -213,7 +215,10 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
 
 
 def _parts(result: object) -> dict[str, ArrayLike | None]:
-    """Return the result attributes that fmu uses, keyed by name. A missing or meaningless attribute is None."""
+    """Return the result attributes that fmu uses, keyed by name.
+
+    A missing attribute is None, and so are the standard deviations of merged setups.
+    """
     given = {name: _attribute(result, name) for name in _KEPT}
     if _attribute(result, "setups_used") is not None:
         given["Fn_std"] = given["Phi_std"] = None

@@ -250,7 +250,10 @@ def _frequency(mode: Dataset) -> float:
 
 @contextmanager
 def imported_pyuff() -> Iterator[ModuleType]:
-    """Within a ``with`` block, provide pyuff with its deprecation warnings silenced."""
+    """Within a ``with`` block, provide pyuff with its deprecation warnings silenced.
+
+    Raise ImportError if pyuff is not installed.
+    """
     try:
         import pyuff
     except ImportError:
@@ -261,7 +264,7 @@ def imported_pyuff() -> Iterator[ModuleType]:
 
 
 def datasets(path: Path) -> list[Dataset]:
-    """Read the datasets with modes in a universal file.
+    """Read the datasets 55 with normal or complex modes in a universal file; other analysis types are skipped.
 
     Raises
     ------
@@ -344,7 +347,7 @@ def read_datasets(
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return error messages for malformed content in a dataset. pyuff does not check the content."""
+    """Return error messages for malformed content in a dataset with modes, which pyuff does not check."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"

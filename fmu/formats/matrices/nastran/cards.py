@@ -19,8 +19,8 @@ LARGEST_ID = 10**9
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield the name and fields of each entry, in upper case and stripped of blanks.
 
-    A continuation must directly follow its entry. Lines before the bulk data are yielded too, because none begins
-    with the name of an entry that fmu reads.
+    A continuation must directly follow its entry. Lines before the bulk data are yielded too, as if they were
+    entries. Reading stops at ENDDATA.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def _fields(line: str) -> tuple[str, list[str]]:
 def whole(field: str, what: str, default: int | None = None) -> int:
     """Return the integer in a field, or the default if the field is empty.
 
-    Raise ValueError if the field is not a whole number.
+    Raise ValueError if the field is not a whole number, or is empty without a default.
     """
     if not field and default is not None:
         return default
@@ -89,7 +89,10 @@ def identity(field: str, what: str) -> int:
 
 
 def number(field: str, what: str, default: float | None = None) -> float:
-    """Return the real number in a field, such as ``7.1-3`` or ``7.1D-3``, or the default if the field is empty."""
+    """Return the real number in a field, such as ``7.1-3`` or ``7.1D-3``, or the default if the field is empty.
+
+    Raise ValueError if the field is not a real number, or is empty without a default.
+    """
     if not field and default is not None:
         return default
     found = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d{1,4})|[ED](\d{1,4}))?", field)
@@ -99,9 +102,9 @@ def number(field: str, what: str, default: float | None = None) -> float:
 
 
 def components(field: str, what: str) -> list[int]:
-    """Return the components (1 to 6) in a field such as ``123456``.
+    """Return the components (1 to 6) in a field such as ``123456``, in ascending order.
 
-    A field that is 0 or empty (scalar point) gives [1].
+    A field that is 0 or empty (scalar point) gives [1]. Raise ValueError if the field has anything else.
     """
     if field in ("", "0"):
         return [1]
@@ -111,7 +114,10 @@ def components(field: str, what: str) -> list[int]:
 
 
 def expand_list(fields: list[str], what: str) -> list[int]:
-    """Return the ids in a list of fields, with ``THRU`` ranges expanded and empty fields skipped."""
+    """Return the ids in a list of fields, with ``THRU`` ranges expanded and empty fields skipped.
+
+    Raise RefusedError if there are more than `MOST_FIELDS` ids.
+    """
     words = [field for field in fields if field]
     found: list[int] = []
     at = 0

@@ -86,7 +86,11 @@ def _lines(
 
 
 def _name(text: str, lines: Iterator[str]) -> str:
-    """Return the file name in an INCLUDE entry. A quoted name may continue on further lines, without blanks."""
+    """Return the file name in an INCLUDE entry.
+
+    A quoted name may continue on further lines; blanks at the line ends are dropped. Raise RefusedError if its
+    closing quote is missing.
+    """
     mark = text[:1]
     if mark not in ("'", '"'):
         return text.partition("$")[0].strip()
@@ -100,7 +104,10 @@ def _name(text: str, lines: Iterator[str]) -> str:
 
 
 def _inside(name: str, folder: Path, beside: Path) -> Path:
-    """Return the path of an included file. Raise RefusedError if it resolves to a file outside `folder`."""
+    """Return the path of an included file, relative to `folder` or, if it is not there, to `beside`.
+
+    Raise RefusedError if the file does not exist, or lies outside `folder`.
+    """
     name = name.replace("\\", "/")
     for base in (folder, beside):
         path = Path(os.path.normpath(base / name))

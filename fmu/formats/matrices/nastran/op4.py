@@ -65,7 +65,8 @@ class _Entries:
     def add(self, column: int, row: int, values: AnyArray) -> None:
         """Add consecutive values of a column, starting at `row`; column and row are counted from 1.
 
-        MYSTRAN writes full columns. If a column is mostly zero, only its runs of nonzeros are stored.
+        MYSTRAN writes full columns. If at most half of the values are nonzero, only the runs of nonzeros are
+        stored.
         """
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
