@@ -27,6 +27,7 @@ from fmu.analysis.held_out.refit import (
 )
 from fmu.analysis.held_out.together import left_out_together
 from fmu.analysis.held_out.weights import SMOOTHED_K, Smoothed, smooth_weights
+from fmu.analysis.held_out.without_scores import leave_out_by_tests
 from fmu.analysis.start.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.reading import (
     array_of,
@@ -79,7 +80,8 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         The problem that was sampled. If given, the table is computed again, however long this takes, and a mode
         without a reliable prediction from importance sampling is predicted by a separate run. Without a problem,
         the stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
-        hierarchical posterior, which has parameters for every test, is never refitted: its draws are reweighted.
+        hierarchical posterior, which has parameters for every test, is never refitted: its draws are reweighted,
+        with the scores of the mode's test integrated out (`fmu.analysis.held_out.without_scores`).
 
     Returns
     -------
@@ -136,7 +138,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Beyond
         this limit, modes with unreliable weights are refitted if one refit takes at most 2.5 seconds, as many of
         them as 15 seconds permit. With ``inf``, every mode whose refit is unreliable gets a separate run. A
-        hierarchical posterior has too many parameters for refits, and `most` has no effect.
+        hierarchical posterior has too many parameters for refits: `most`, by default half the solves of the
+        draws, limits the solves by which scores are integrated out.
     """
     import xarray as xr
 
@@ -145,9 +148,11 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)
     draws = Draws(problem, theta, hz)
-    a_solve = 0.0
+    a_solve, by_tests = 0.0, dict[int, HeldOut]()
     if problem.is_hierarchical:
-        most = 0.0
+        most = _SHARE * int(trace.attrs["n_solves"]) if most is None else most
+        weighted = leave_out_by_tests(problem, parameter_draws(trace), walkers_of(trace), _generator(0), most)
+        by_tests, most = {k: _predict_weighted(k, *one) for k, one in weighted.items()}, 0.0
     if most is None:
         enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
         is_cheap = enough and problem.solves_per_gradient == 1
@@ -163,7 +168,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     doubtful = [k for k, row in found.items() if not row.mcse_elpd <= ACCEPTED]
     if sum(use) > 1:  # without the only used mode there are no data
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
-    found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
+    found |= by_tests | _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
     if most == np.inf:
         found |= _by_runs_of_their_own(problem, [k for k in doubtful if use[k] and k not in found], theta)
     # weights with a Pareto k of 0.4 were wrong by 0.4 nats: used only if a refit takes too long

@@ -59,13 +59,21 @@ def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
     found: dict[str, Smoothed] = {}
     if n < FEWEST or not np.isfinite(efficiency):
         return found
-    most = min(SMOOTHED_K, 1.0 - 1.0 / np.log10(n))
     labels = trace["log_likelihood"]["mode"].to_numpy()
     for label, log_p in zip(labels, terms.reshape(n, -1).T, strict=True):
         with suppress(ValueError):  # so many draws may be equal that the weights have no tail
-            log_w, k = smoothed_weights(-log_p, efficiency)
-            elpd = float(logsumexp(log_w + log_p))
-            spread = np.exp(log_w + log_p - elpd) - np.exp(log_w)
-            mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
-            found[str(label)] = Smoothed(log_w, k, k <= most, elpd, mcse)
+            found[str(label)] = smooth(-log_p, log_p, efficiency)
     return found
+
+
+def smooth(log_w: FloatArray, log_p: FloatArray, efficiency: float) -> Smoothed:
+    """Smooth the log-weights (n,) of a leave-one-out posterior; raise ValueError if they have no tail.
+
+    `log_p` (n,) is the log-density of the left-out mode at the draws, and `efficiency` is as in
+    `smoothed_weights`.
+    """
+    log_w, k = smoothed_weights(log_w, efficiency)
+    elpd = float(logsumexp(log_w + log_p))
+    spread = np.exp(log_w + log_p - elpd) - np.exp(log_w)
+    mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
+    return Smoothed(log_w, k, k <= min(SMOOTHED_K, 1.0 - 1.0 / np.log10(len(log_w))), elpd, mcse)

@@ -82,10 +82,12 @@ class WrongModel:
         """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
         If there are several tests, which have many modes, the draws are reweighted instead of repeating the
-        update.
+        update. If the tests have populations, the scores of the mode's test are integrated out.
         """
         known = {
-            model: with_left_out(traces[model], problem, np.inf if len(problem.tests) == 1 else 0.0)
+            model: with_left_out(
+                traces[model], problem, np.inf if len(problem.tests) == 1 or problem.is_hierarchical else 0.0
+            )
             for model, problem in problems.items()
         }
         columns: dict[str, FloatArray] = {}

@@ -96,6 +96,15 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         slopes[:, :m, n + k * self._n_groups :] += np.einsum("nmkc,nmk->nmc", latent.common, error)
         return terms, slopes
 
+    def error_given_others(
+        self, seen: ModalPrediction, theta: FloatArray, k: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the discrepancy in mode `k`'s frequency, (n,) in Hz, and its variance, which is zero."""
+        z, w = self._split(theta[:, self._first :])
+        own, common = (x[:, k] for x in self._in_hz(seen, theta))
+        shift = np.einsum("np,np->n", own, z[:, k]) + np.einsum("nc,nc->n", common, w)
+        return -shift, np.zeros(len(theta))
+
     def expand(self, theta: FloatArray) -> ExpandedErrors:
         """Return the residuals, expanded about theta (1, ndim), as a function of the latent errors."""
         values, noise = self._values(theta)[0], theta[:, self.model.n_parameters :]

@@ -233,12 +233,21 @@ def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
     return REGULAR if outliers is None else outliers.likeliest_scales(theta, Scores.of(plain.layout).take(theta))
 
 
+def scores_about(plain: UpdatingProblem, theta: FloatArray, scales: FloatArray) -> ScoresGivenMain:
+    """Return the score density, expanded about theta, shape (1, ndim).
+
+    The scores of `plain` are standard normal, and any errors of its model are parameters. `scales` is as in
+    `Conditionals`.
+    """
+    expansion = expand(plain.layout, likelihood_of_tests(plain), theta[0])
+    return _bend(ScoresGivenMain(plain.layout, expansion), plain, theta, scales)
+
+
 def _about(
     plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> tuple[ScoresGivenMain, MarginalOfMain]:
     """Return the score density and the main-parameter density, expanded about theta, shape (1, ndim)."""
-    expansion = expand(plain.layout, likelihood_of_tests(plain), theta[0])
-    scores = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta, scales)
+    scores = scores_about(plain, theta, scales)
     return scores, MarginalOfMain(plain, scores, theta)
 
 
