@@ -164,6 +164,8 @@ _ROWS = (
      "np.sqrt(w @ (deviations**2 + (means - mean) ** 2))", "np.sqrt(w @ deviations**2)", "analysis/held_out/test_prediction_of_modes.py"),
     ("modes left out: error of an elpd", "analysis/held_out/refit.py",
      "np.sqrt(np.sum((w[1] - w[0]) ** 2))", "np.sqrt(np.sum(w[1] ** 2))", "analysis/held_out/test_held_out.py"),
+    ("modes left out of populations: a determinant forgotten", "analysis/held_out/without_scores.py",
+     " - proposal.log_det_factor", "", "analysis/held_out/test_without_scores.py"),
     ("scatter: probability that it is needed", "analysis/models/scatter.py",
      "posterior * prior_sd / np.sqrt(2.0 / np.pi)", "posterior / prior_sd / np.sqrt(2.0 / np.pi)", "analysis/models/test_scatter_of_groups.py"),
     ("repeatability: effective number of tests", "analysis/repeatability.py",

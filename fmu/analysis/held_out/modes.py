@@ -139,7 +139,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         this limit, modes with unreliable weights are refitted if one refit takes at most 2.5 seconds, as many of
         them as 15 seconds permit. With ``inf``, every mode whose refit is unreliable gets a separate run. A
         hierarchical posterior has too many parameters for refits: `most`, by default half the solves of the
-        draws, limits the solves by which scores are integrated out.
+        draws, limits the solves of all tests by which scores are integrated out.
     """
     import xarray as xr
 

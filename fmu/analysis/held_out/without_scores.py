@@ -146,7 +146,7 @@ def leave_out_by_tests(
 
 
 def _rounds(problem: UpdatingProblem) -> list[dict[int, int]]:
-    """Return sets of modes, at most one of each test: the index of each mode, and that of its test."""
+    """Return dicts from modes to their tests, by index; a dict has at most one mode of each test."""
     test, use = problem.model.test_of_modes, np.array(problem.data.use)
     of_tests = [np.flatnonzero(use & (test == t)).tolist() for t in range(len(problem.tests))]
     n = max(2, *map(len, of_tests))  # so that modes of other tests are kept
