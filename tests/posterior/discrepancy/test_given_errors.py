@@ -83,3 +83,20 @@ def test_each_test_is_independent_and_expanded_about_any_errors(pair):
     expected = sum_by_test(slopes, of.test_of_terms, len(layout.tests))
     assert_allclose(known.slope, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
     assert np.all(np.linalg.eigvalsh(known.information) > -1e-9 * np.abs(known.information).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_frequency_given_the_errors_has_its_density(kind):
+    problem = posed("population", "frequencies", KINDS[kind])
+    given, theta = with_errors_as_parameters(problem), points(problem)
+    of = given.likelihood
+    z = np.random.default_rng(0).standard_normal((len(theta), of.n_errors))
+    noise = np.concatenate([np.full_like(theta[:, problem.n_structural :], 0.05), z], axis=1)
+    at = np.concatenate([given.layout.of_model(theta)[:, : of.model.n_parameters], noise], axis=1)
+    seen = of.observed(at)
+    mean, sd = of.frequency_term.given_others(seen.frequencies, noise)
+    for k, measured in enumerate(problem.data.frequencies_hz):
+        shift, variance = of.error_given_others(seen, at, k)
+        assert np.all(variance == 0.0)
+        assert np.all(np.abs(shift) > 0.0)
+        assert_allclose(of.terms(at)[:, k], stats.norm(mean[:, k] + shift, sd[:, k]).logpdf(measured), rtol=1e-9)
