@@ -15,7 +15,7 @@ from fmu.types import FloatArray, IntArray
 Observation = tuple[Matrix, FloatArray]
 """Comparison coordinates as rows for a block's unknowns, and the reference shapes at these coordinates."""
 Solved = dict[int, tuple[FloatArray, FloatArray]]
-"""Eigenvalues and shapes by block index."""
+"""Eigenvalues and shapes, keyed by block index."""
 
 
 class BlockPrediction(NamedTuple):
@@ -54,7 +54,7 @@ class Block:
     is_reduced : bool
         Whether the block approximates a full block.
     massless : bool
-        Whether degrees of freedom of the full block have no mass.
+        Whether the full block's mass matrix is singular, for example because degrees of freedom have no mass.
     constant_mass : bool
         Whether no parameter changes the mass of the block.
     """
@@ -105,7 +105,7 @@ class Block:
         ----------
         theta : ndarray, shape (n, n_parameters)
         lam, phi : ndarray, shape (n, r) and (n, size, r)
-            The result of `modes` for at least `n_required` modes with derivatives.
+            The result of `modes` for at least ``n_required(m, True)`` modes.
         d : ndarray, shape (n, m, n_parameters)
             Directions for the lowest m modes.
         slopes : ndarray, shape (n, size, m, n_parameters), optional
@@ -114,8 +114,8 @@ class Block:
         Returns
         -------
         ndarray, shape (n, m, n_parameters)
-            H_i d_i, where H_i is the matrix of second derivatives of λ_i. It does not depend on modes whose
-            eigenvalues are equal to λ_i (`fmu.fem.modes.derivatives`).
+            H_i d_i, where H_i is the matrix of second derivatives of λ_i, without the rotation of mode i into
+            modes whose eigenvalues are nearly equal to λ_i (`fmu.fem.modes.derivatives.CLOSE`).
         """
         own, value = phi[:, :, : d.shape[1]], lam[:, : d.shape[1], None]
         dK_phi, dM_phi = (
@@ -152,7 +152,7 @@ class Block:
         One adjoint y_j for each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0, which is
         a shape derivative with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is −y_jᵀ times the right side of the
         first equation plus φᵀleft_j times the right side of the second. As y_jᵀMφ = 0, the second derivatives of λ
-        vanish.
+        drop out.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class Block:
     def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
         """Return Σ_p left_pᵀ K_k right_p for every term k, or with M_k if `of_mass`, shape (n, n_terms, m).
 
-        `left` and `right` have shape (n, size, m, q). The sum over p runs over their q last entries.
+        `left` and `right` have shape (n, size, m, q), and p runs over their last axis.
         """
         raise NotImplementedError
 
@@ -236,7 +236,7 @@ class Block:
     ) -> FloatArray:
         """Return derivatives of the shapes along directions d, given ∂_dK φ and ∂_dM φ, each (n, size, m, q).
 
-        Each of the m lowest modes has q directions.
+        Each of the m lowest modes has q directions. The result has the same shape.
         """
         raise NotImplementedError
 
@@ -249,10 +249,10 @@ class Block:
         return rows
 
     def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
-        """Return fewer sensor rows and reference shapes that give the same norms and inner products.
+        """Return sensor rows and reference shapes with the same norms and inner products, fewer if possible.
 
         `rows` come from `coordinates`. The reference shapes returned have n_modes columns and one row per new
-        sensor row.
+        sensor row. By default, both are returned unchanged.
         """
         return rows, reference
 

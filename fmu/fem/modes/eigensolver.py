@@ -94,7 +94,7 @@ def eigen(
 
     Returns
     -------
-    eigenvalues : ndarray, shape (count,), (rad/s)², ascending
+    eigenvalues : ndarray, shape (count,), (rad/s)², ascending; negative if K is negative for some motion
     shapes : ndarray, shape (n_dof, count), with φᵀ M φ = 1
 
     Raises
@@ -104,6 +104,8 @@ def eigen(
     SingularMassError
         If fewer than `count` modes have a finite frequency, M is negative for some motion, a motion has neither
         stiffness nor mass, or the solver fails.
+    MemoryError
+        If the factors of a large matrix do not fit in memory.
     """
     n = K.shape[0]
     if not 1 <= count <= n:
@@ -128,7 +130,10 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues (count,) and shapes (n, count); K is scaled to S, with unit diagonal."""
+    """Return the lowest eigenvalues (count,) and shapes (n, count); K is scaled to S, with unit diagonal.
+
+    `clear` holds the factors of K if it is clearly definite, otherwise None.
+    """
     if clear is not None:
         factor = clear.scaled
     else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
@@ -203,7 +208,7 @@ def _start(n: int) -> FloatArray:
 
 
 def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
-    """Factorise S + s M, where the shift s makes the sum definite although S is not."""
+    """Factorise S + s M with a shift s that makes the sum definite; raise SingularMassError if there is none."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
@@ -238,9 +243,10 @@ def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
 
 
 def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count: int) -> FloatArray:
-    """Return the same eigenvectors as `_highest`, computed by Lanczos iteration with A⁻¹ M.
+    """Return the same eigenvectors as `_highest`; ``solve(b)`` returns A⁻¹ b.
 
-    The starting vector is fixed, so that results are reproducible.
+    They come from Lanczos iterations with A⁻¹ M or, if few degrees of freedom have mass, from a dense matrix. The
+    starting vector is fixed, so that results are reproducible.
     """
     n = M.shape[0]
     with_mass = np.flatnonzero(M.diagonal() > 0.0)
@@ -291,7 +297,7 @@ def _dense(matrix: Any) -> FloatArray:
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
-    """Return all near-zero and negative eigenvalues of a matrix with unit diagonal, and at least one positive.
+    """Return all near-zero and negative eigenvalues of a matrix with unit diagonal, and usually some above.
 
     Returns
     -------
@@ -359,7 +365,7 @@ def rank(matrix: Matrix) -> int:
 
 
 def is_semidefinite(matrix: sp.csr_array) -> bool:
-    """Return True if a sparse symmetric matrix has no eigenvalue below zero by more than export rounding."""
+    """Return True if a sparse symmetric matrix, scaled to a unit diagonal, has no eigenvalue below −`NEGATIVE`."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True

@@ -51,7 +51,8 @@ class FullBlock(Block):
     ----------
     K_terms, M_terms : tuple of Term
     n_modes : int
-        Number of modes with a finite frequency: fewer than `size` if degrees of freedom have no mass.
+        Number of modes with a finite frequency: fewer than `size` if M is singular. It is an upper bound if a mass
+        term may be negative.
     constant : bool
         Whether no parameter changes the block.
     """
@@ -100,11 +101,11 @@ class FullBlock(Block):
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count), with NaN on failure.
 
-        A large block stores its last solve at a single theta, because several quantities are needed at the
-        starting point. A block that no parameter changes is solved only once. A block with at least `LARGE`
-        degrees of freedom computes a few extra modes for `at_least`. Within `spread_over`, the engine's workers
-        solve a large block at several theta in parallel. Results are bitwise independent of the engine and of the
-        other theta.
+        A block of more than `DENSE_LIMIT` degrees of freedom stores its last solve at a single theta, because
+        several quantities are needed at the starting point. A block that no parameter changes is solved only once.
+        A block with at least `LARGE` degrees of freedom computes a few extra modes for `at_least`. Within
+        `spread_over`, the engine's workers solve a block of more than `DENSE_LIMIT` degrees of freedom at several
+        theta in parallel. Results are bitwise independent of the engine and of the other theta.
         """
         times = 1
         if self.constant:
@@ -135,7 +136,7 @@ class FullBlock(Block):
     def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
         """Return the factors of K at theta (n_parameters,), or None if K is not clearly definite.
 
-        A large block stores the factors for the latest theta.
+        A block with at least `LARGE` degrees of freedom stores the factors for the latest theta.
         """
         return self._keep_factor(
             theta, lambda: clear_factor(*unit_diagonal(next(self._add_up(self._K_map, theta[None]))))
@@ -161,8 +162,8 @@ class FullBlock(Block):
     ) -> list[Result]:
         """Run ``work(shared, task, None)`` for each task, in this process or in the workers of `spread_over`.
 
-        The next task is taken from `tasks` only when a worker is free. No more workers are used than fit in
-        memory.
+        The next task is taken from `tasks` only when a worker is free. A block with at least `LARGE` degrees of
+        freedom uses no more workers than fit in the free memory, if that is known.
 
         Parameters
         ----------
@@ -196,7 +197,10 @@ class FullBlock(Block):
         return [found[number] for number in range(len(found))]
 
     def _workers_that_fit(self, engine: Engine, of_factors: int) -> int:
-        """Return how many workers fit in memory, if each holds the block and factors of `of_factors` bytes."""
+        """Return how many workers fit in memory, if each holds the block and factors of `of_factors` bytes.
+
+        All workers count if the free memory is unknown or the block is smaller than `LARGE`.
+        """
         free = engine.free_memory()
         if free is None or self.size < LARGE:
             return engine.workers
@@ -206,7 +210,7 @@ class FullBlock(Block):
     def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and shapes (n, size, count).
 
-        For a large block, each theta is a separate task.
+        For a block of more than `DENSE_LIMIT` degrees of freedom, each theta is a separate task.
         """
         if len(theta) < 2 or self.size <= DENSE_LIMIT:
             return self._solve_each(theta, count)
@@ -348,7 +352,7 @@ def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[i
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
-    """Return the rank of M if every term has a nonzero coefficient: the number of modes with a finite frequency.
+    """Return the rank of M if every term has a positive coefficient: the number of modes with a finite frequency.
 
     Return None if the sum of the terms is not semidefinite.
     """
@@ -360,7 +364,7 @@ def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
 
 
 def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
-    """Return the number of nonempty rows.
+    """Return the number of rows in which any mass term has an entry.
 
     It bounds the rank from above, even if some terms are differences of matrices.
     """

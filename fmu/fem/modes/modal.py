@@ -21,7 +21,7 @@ _EQUAL = 1e-6
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
-    """Return a mask of the rigid-body modes among a structure's lowest modes, shape (..., m)."""
+    """Return a mask (..., m) of the rigid-body modes among a structure's lowest m modes; NaN counts as elastic."""
     return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 
 
@@ -128,12 +128,13 @@ def solve_spectrum(
     """Return the lowest `count` modes of the whole structure, sorted over all its `blocks`.
 
     A reduced block gives only the modes for which it was trained. If one of its higher modes might be among the
-    lowest modes at a theta, all modes at that theta are NaN. The full model is then needed.
+    lowest modes at a theta, all eigenvalues at that theta are NaN, and the full model is needed. They are NaN too
+    if a block cannot be solved.
 
     Raises
     ------
     ValueError
-        If the structure has fewer than `count` modes.
+        If `count` is not positive, or the structure has fewer modes.
     """
     available = sum(min(count, block.n_modes) for block in blocks)
     if not 1 <= count <= available:

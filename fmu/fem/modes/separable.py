@@ -29,7 +29,9 @@ from fmu.types import Dof, FloatArray, IntArray
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Coordinates and elements of a structure, used only for plots; the mechanics are in the matrices.
+    """Coordinates and elements of a structure, for plots, point matching and centres of gravity.
+
+    The mechanics are in the matrices.
 
     Attributes
     ----------
@@ -91,7 +93,7 @@ class Geometry:
 
     @cached_property
     def drawn(self) -> IntArray:
-        """Row indices (m,) of plotted nodes: all or, for another program's mesh, only the ends of lines."""
+        """Row indices (m,) of plotted nodes: all or, with `ids`, only the ends of lines."""
         return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
 
     @cached_property
@@ -345,7 +347,7 @@ class SeparableModel:
         return seen
 
     def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
-        """Yield (node row, direction, weights) for each motion of each node.
+        """Yield (node row, direction, weights) for each motion of each node in the geometry, if there is one.
 
         The weights are keyed by index in `dofs`.
         """

@@ -7,7 +7,7 @@ is meant for 10⁵ degrees of freedom and more. For matrices with at least `LARG
 given by `n_threads` in `fmu.fem.modes.factors.pardiso`; the factors are bitwise equal for any number of threads.
 If they would take more than a sixth of the machine's memory, they are computed in single precision, and solutions
 are refined to double precision (`fmu.fem.refinement`). Memory is checked before factors are computed. PARDISO
-stores factors that do not fit in files; SuperLU refuses them.
+stores factors that do not fit in files; SuperLU refuses them, but checks only from `LARGE` rows on.
 
 None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
 signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
@@ -88,6 +88,8 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
     ------
     numpy.linalg.LinAlgError
         If the matrix is singular to the last digit; a nearly singular matrix may pass.
+    MemoryError
+        If the factors of a large sparse matrix do not fit in memory.
     """
     if not sp.issparse(matrix):
         return DenseFactor(matrix)
@@ -158,7 +160,10 @@ class LastFactor:
 
 
 class DenseFactor:
-    """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977)."""
+    """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977).
+
+    Raise LinAlgError if the matrix is singular or not finite.
+    """
 
     is_single = False
 
@@ -183,7 +188,7 @@ class DenseFactor:
 
 
 def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
-    """Scale A, dense or sparse, to S = D A D with a diagonal of ones (or zeros); return S and D's diagonal."""
+    """Scale A, dense or sparse, to S = D A D with ±1 or 0 on the diagonal, and return S and D's diagonal."""
     diagonal = np.abs(matrix.diagonal())
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     return scale_matrix(matrix, scale), scale

@@ -33,8 +33,8 @@ def assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
 def lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the lowest modes of K φ = λ M φ for each matrix pair, with NaN for difficult pairs.
 
-    The method is that module's method, but it does not handle free structures, a nearly singular K, or modes with
-    very different frequencies.
+    The method is the same as in `fmu.fem.modes.eigensolver`, but it does not handle free structures, a nearly
+    singular K, or modes with very different frequencies.
 
     Parameters
     ----------

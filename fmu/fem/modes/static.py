@@ -23,7 +23,7 @@ _DEPENDENT = 1e-13
 
 
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
-    """Return the displacement vector (n_dof,) that moves all free degrees of freedom by 1 m along one axis."""
+    """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along one axis."""
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
@@ -105,14 +105,15 @@ class StaticDisplacement:
     Attributes
     ----------
     error : float
-        Largest relative error at points that are not used for the basis.
+        Largest relative error at points that are not used for the basis; 0 if u is exactly zero at one of them.
     n_solves : int
         Number of solves with the full stiffness for the basis.
 
     Raises
     ------
     ValueError
-        If a place sees no free degree of freedom, K is singular, or the error does not converge.
+        If a place sees no free degree of freedom, K is singular at a sampled point, or the error does not
+        converge.
     """
 
     def __init__(
@@ -156,7 +157,7 @@ class StaticDisplacement:
         self._loads = V.T @ loads
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return u in m or rad, shape (n, 1), at theta (n, n_parameters).
+        """Return u in m or rad, shape (n, 1), at theta (n, n_parameters), with NaN where K is singular.
 
         With `gradient`, also return its derivatives, shape (n, 1, n_parameters); otherwise None.
         """
@@ -184,7 +185,10 @@ def _coordinates(model: SeparableModel) -> FloatArray:
 
 
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
-    """Return K(θ)⁻¹ times `loads` (n_dof, 2). K is first scaled to a unit diagonal."""
+    """Return K(θ)⁻¹ times `loads` (n_dof, 2). K is first scaled to a unit diagonal.
+
+    Raise ValueError if K is not positive definite.
+    """
     K = sum_at(model.K_terms, theta)
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
     scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()

@@ -79,7 +79,7 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return the monomial Π theta[:, j] ** powers[j], shape (n,). It is NaN or infinite where it is undefined.
+    """Return the monomial Π theta[:, j] ** powers[j], shape (n,): NaN where undefined, infinite on overflow.
 
     Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """
@@ -114,7 +114,7 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
-    """Return the sparse sum Σ weights[k] · K_k of the term matrices. Entries that overflow are not finite."""
+    """Return the sparse sum Σ weights[k] · K_k of the terms; inf or NaN, without a warning, on overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -123,7 +123,7 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
 
 
 def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
-    """Return the sparse sum of `terms` at theta (n_parameters,). Entries that overflow are not finite."""
+    """Return the sparse sum of `terms` at theta (n_parameters,); inf or NaN, without a warning, on overflow."""
     return weighted_sum(terms, coefficients(terms, theta[None])[0])
 
 
@@ -176,7 +176,7 @@ class ParametricMatrix:
         return np.ravel_multi_index((rows, columns), self.terms[0].matrix.shape)
 
     def add_up(self, weights: FloatArray, dense: bool) -> Any:
-        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse. Entries that overflow are not finite."""
+        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse; inf or NaN, without warning, on overflow."""
         columns, pointers, parts = self._pattern
         data = np.zeros(len(columns))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -262,6 +262,7 @@ def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
     Parameters
     ----------
     given : Term, matrix, or tuple (matrix, str) or (matrix, mapping of str to float)
+        A `Term` is returned unchanged.
     names : tuple of str
         Parameter names, in the order of theta.
     where : str

@@ -1,5 +1,5 @@
-"""Pairing of computed modes with measured modes.
+"""Pairing of computed modes with measured modes, and comparison of their shapes.
 
-Reading order: rules, prediction, modal_model, paired_structure; paired_black_box for a user's function,
-failed_solves for the reasons why solves fail.
+Read rules, prediction, modal_model and paired_structure first. paired_black_box pairs the modes of a user's
+function, failed_solves explains why a solve failed, and matching assigns measurement points to mesh nodes.
 """

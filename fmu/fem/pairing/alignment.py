@@ -19,19 +19,19 @@ from scipy.spatial.transform import Rotation
 from fmu.types import FloatArray, IntArray
 
 _FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
-"""Steps from every starting alignment, steps from the best alignments, and number of the best alignments."""
+"""Most steps from a starting alignment, most steps from a best alignment, and number of best alignments kept."""
 _FEW, _ROUNDS = 8, 10
 """Number of alignments whose neighbours are tried, and the largest number of rounds."""
 _OTHERS = 600
 """Number of random starting rotations; two neighbours differ by some 20°."""
 _AS_GOOD = 1.2
-"""An alignment fits as well as the best if its distances are at most this many times as large."""
+"""An alignment fits about as well as the best if its RMS distance is at most this many times as large."""
 _EXACT = 1e-3
-"""Distances below this, in units of the spacing, all count as zero."""
+"""RMS distances below this, in units of the median spacing, all count as zero."""
 _ELSEWHERE = 5.0
 """Smallest angle in degrees between two alignments that count as different."""
 _MOST_FAR = 0.2
-"""Points fit a mesh if at most this share of them is farther from the nearest node than the mesh spacing there."""
+"""Points fit a mesh if at most this share is farther from the nearest node than the mesh spacing there."""
 _KEEPS = 1e-10
 """Weight on the current rotation, used for an axis about which collinear points leave the rotation free."""
 
@@ -41,7 +41,7 @@ Alignment = tuple[FloatArray, FloatArray]
 
 
 def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
-    """Return the rotations R and shifts t that minimise Σ |R x + t − y|² (Kabsch 1976) for each set of n points.
+    """Return the rotation R and shift t that minimise Σ |R x + t − y|² for each set of n points (Kabsch 1976).
 
     If the points leave a rotation undetermined, as collinear points do, R does not rotate about that axis.
 
@@ -66,7 +66,10 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
 
 
 class Mesh:
-    """Distinct node positions of a mesh, and the spacing between them."""
+    """Distinct node positions of a mesh, and the spacing between them.
+
+    Raise ValueError if there are fewer than two nodes, or their coordinates are not finite or not of shape (n, 3).
+    """
 
     def __init__(self, nodes: Sequence[Hashable], coordinates: ArrayLike) -> None:
         given = np.asarray(coordinates, dtype=float)
@@ -92,16 +95,16 @@ class Mesh:
         return float(np.sqrt(np.mean(self.tree.query(x)[0] ** 2)))
 
     def fits(self, x: FloatArray) -> bool:
-        """Return True if most of the points (n, 3) lie on the mesh."""
+        """Return True if at least 80 % of the points (n, 3) are within the local mesh spacing of a node."""
         distance, place = self.tree.query(x)
         return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return R (3, 3) and t (3,) of the best alignment, and all others that fit equally well.
+    """Return R (3, 3) and t (3,) of the best alignment, and the distinct others that fit about as well.
 
-    `x` are the points, shape (n, 3). Of equally good alignments, the one with the smallest rotation is returned
-    first.
+    `x` are the points, shape (n, 3). Of the alignments that fit about as well as the best, the one with the
+    smallest rotation is returned first.
     """
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
@@ -139,8 +142,9 @@ def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -
 def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
     """Return starting rotations (n, 3, 3) and shifts (n, 3).
 
-    Rotations of axes and principal axes start with centres, corners or origins superposed; the random rotations
-    start with the centres superposed.
+    Rotations of axes and principal axes start with the centres, corners or origins superposed; random rotations
+    start with the centres superposed. The centre is either the mean of the points or the middle of their bounding
+    box.
     """
     axes = Rotation.create_group("O").as_matrix()
     V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
@@ -183,13 +187,13 @@ def _rms(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool:
-    """Return True if two alignments match points to different nodes, or sensors to different directions."""
+    """Return True if two alignments match a point to different nodes, or differ by a rotation of more than 5°."""
     places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
     return bool(np.any(places[0] != places[1])) or turn_of(one[0] @ other[0].T)[0] > _ELSEWHERE
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return the angle in degrees and the axis (3,) of the rotation matrix R."""
+    """Return the angle in degrees and the axis (3,) of the rotation matrix R; the axis is zero if R is 1."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

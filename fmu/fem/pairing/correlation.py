@@ -45,14 +45,16 @@ _MOST_NAMED = 5
 _TRIED = 8
 """Number of sensors with the largest ECoMAC among which every pair is tried for a swap."""
 _DEPENDENT = 1e-8
-"""Singular value of unit-length shapes below which they are linearly dependent."""
+"""Singular value of unit-length shapes below which the shapes are linearly dependent."""
 
 
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the measured shapes fitted to the computed shapes, and the computed shapes scaled to mean square 1.
 
-    Both have shape (n_sensors, n_modes). Each measured shape φ is multiplied by the factor c that minimises
-    Σ_j |c φ_j − ψ_j|, where ψ is the scaled computed shape: c is the median of ψ_j/φ_j with weights |φ_j|.
+    Both have shape (n_sensors, n_modes). Each measured shape φ, which must not be zero, is multiplied by the
+    factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the scaled computed shape: c is the median of ψ_j/φ_j
+    with weights
+    |φ_j|. A computed shape that is zero at all sensors stays zero.
     """
     size = np.sqrt(np.mean(computed**2, axis=0))
     psi = np.divide(computed, size, out=np.zeros_like(computed), where=size > 0)
@@ -71,8 +73,8 @@ def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return each sensor's coordinate modal assurance criterion (Lieven & Ewins 1988), shape (n_sensors,).
 
     CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k. It is 1 if the measured and
-    computed components at the sensor are proportional, whatever their signs. It is also 1 if the sensor moves in
-    no shape.
+    computed components at the sensor are proportional, whatever their signs, or all zero. It is 0 if only the
+    measured or only the computed components are all zero.
     """
     phi, psi = scale_shapes(measured, computed)
     size = np.sum(phi**2, axis=1) * np.sum(psi**2, axis=1)
@@ -94,9 +96,9 @@ def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return cos² of the principal angles between the subspaces that two sets of shapes span, largest first.
 
-    The smallest value is 1 if every measured shape is a combination of the computed shapes (Björck & Golub 1973).
-    This is so for close modes that differ only by a rotation among themselves. For two single shapes the value is
-    their MAC.
+    If m ≤ r, the smallest value is 1 if the measured shapes are independent combinations of the computed shapes
+    (Björck & Golub 1973). This is so for close modes that differ only by a rotation among themselves. For two
+    single shapes the value is their MAC. Linearly dependent shapes give zeros.
 
     Parameters
     ----------
@@ -182,9 +184,10 @@ class Correlation:
 
     @cached_property
     def subspace(self) -> dict[int, float]:
-        """Smallest cos² of the principal angles between measured and computed subspace, keyed by grouped mode.
+        """Smallest cos² of the principal angles between a group's measured and computed subspaces, keyed by mode.
 
-        Groups with at least as many modes as there are sensors are skipped, because they span the whole space.
+        Modes outside the groups are left out. Groups with at least as many modes as there are sensors are left out
+        too, because they span the whole space.
         """
         few = (list(group) for group in self.groups if len(group) < len(self.sensors))
         least = {tuple(g): float(subspace_mac(self.measured[:, g], self.computed[:, g])[-1]) for g in few}
@@ -211,7 +214,7 @@ class Correlation:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Indices of two sensors that appear to be swapped, or an empty tuple if none do.
+        """Indices of two sensors that appear to be swapped; empty if none do or the data are too few to tell.
 
         Swapping their measured values makes them agree with the model. Swapped sensors are sought separately,
         because two bad sensors among few do not stand out from the median.
@@ -232,7 +235,7 @@ class Correlation:
         return ecomac(self.measured[order], self.computed)
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return warnings about swapped sensors and about the five worst other suspects."""
+        """Return warnings about swapped sensors and about the worst other suspects, at most five."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         if self.exchanged:
@@ -257,7 +260,7 @@ class Correlation:
         return found
 
     def sensors_in_doubt(self) -> str:
-        """Return the five worst suspects as text, ``"sensors 3 x and 6 x"``, or an empty string if none."""
+        """Return the worst suspects, at most five, as text such as ``"sensors 3 x and 6 x"``; empty if none."""
         named = [self.sensors[j] for j in sorted(self.suspects[:_MOST_NAMED].tolist())]
         return f"sensor{'s' * (len(named) > 1)} {names_in_words(named)}" if named else ""
 

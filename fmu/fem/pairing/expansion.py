@@ -63,7 +63,8 @@ def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArr
     Raises
     ------
     ValueError
-        If the sensors cannot tell the modes apart: there are fewer sensors than modes, or two modes look alike.
+        If the sensors cannot tell the modes apart: the modes are linearly dependent at the sensors, as they are if
+        there are fewer sensors than modes.
     """
     seen = rows @ modes
     size = np.linalg.norm(seen, axis=0)
@@ -136,17 +137,18 @@ def expand(
     model : SeparableModel
     theta : array_like, shape (n_parameters,)
     modes : ndarray, shape (n_dof, r)
-        Modes of the model at `theta` that are paired with the measured modes.
+        Modes of the model at `theta` that are paired with the measured modes; used only by SEREP.
     sensors : sequence of (place, direction)
     measured : array_like, shape (n_sensors, n_modes)
     frequencies_hz : array_like, shape (n_modes,)
-        Measured frequencies.
+        Measured frequencies; used only by dynamic expansion.
     method : {"serep", "dynamic"}
 
     Raises
     ------
     ValueError
-        If the method is unknown, or fails as described for `serep` and `dynamic`.
+        If the method is unknown, a sensor sees no free degree of freedom, or the method fails as described for
+        `serep` and `dynamic`.
     """
     rows, phi = model.observation(sensors), np.asarray(measured, dtype=float)
     if method == "serep":

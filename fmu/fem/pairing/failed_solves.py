@@ -1,7 +1,7 @@
 """Explain, in terms of structural dynamics, why a model gave no frequencies at a parameter vector.
 
-To save time, solvers return NaN on failure without a reason. Here a failed theta is solved again to find the
-reason.
+To save time, solvers return NaN on failure without a reason. Here a structure is solved again at a failed theta to
+find the reason.
 """
 
 from __future__ import annotations
@@ -24,13 +24,16 @@ NOT_FINITE = "frequencies are not finite"
 
 
 def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
-    """Return the reason why a paired model has no finite frequencies at theta, or None if they are finite.
+    """Return the reason why a paired model has no finite frequencies at theta, or None if no reason is found.
+
+    None is also returned if the frequencies are finite after all.
 
     Parameters
     ----------
     model : ModalModel
-        If it is a user's function, it is not called again, because it may be slow or fail differently. If the
-        model has several tests, the reason names the first test that failed.
+        If it is a user's function, the recorded reason is returned, and the function is not called again, because
+        it may be slow or fail differently. For the surrogate of a function, the reason is that nearby training
+        points failed. If the model has several tests, the reason names the first test for which one is found.
     theta : ndarray, shape (n_parameters,)
         Parameters at which the model has just failed.
     """
@@ -75,7 +78,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return why a block fails and, if there is one, the degree of freedom concerned.
+    """Return why a block fails and, if one degree of freedom is to blame, its index.
 
     Return None if the block can be solved.
     """

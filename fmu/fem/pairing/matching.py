@@ -31,7 +31,7 @@ UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
 DISTANT = 0.5
 """Distance of a point from its node, in units of the local mesh spacing, above which a warning is given."""
 CLOSE_RIVAL = 0.1
-"""A warning is also given if the second-nearest node is farther by less than this, in the same unit."""
+"""A warning is also given if the second-nearest node is farther by less than this, in the same units."""
 SNAPPED = 2.0
 """Largest angle, in degrees, between test axes and model axes that count as parallel."""
 _MOST_NAMED = 5
@@ -79,7 +79,7 @@ class Matching:
         Raises
         ------
         ValueError
-            If there is no such point, or the test's axes are not parallel to the model's axes.
+            If there is no such point, or the direction is more than 2° off the nearest axis of the model.
         """
         if str(point) not in self.points:
             raise ValueError(f"must be a point of the geometry (got {point!r})")
@@ -97,7 +97,7 @@ class Matching:
 
     @property
     def is_parallel(self) -> bool:
-        """Whether the test's axes are parallel to the model's axes."""
+        """Whether the test's axes are parallel to the model's axes to within 2°."""
         return bool(np.all(np.max(np.abs(self.rotation), axis=0) >= np.cos(np.radians(SNAPPED))))
 
     def turned(
@@ -111,8 +111,8 @@ class Matching:
         Raises
         ------
         ValueError
-            If a point does not exist, or the axes are not parallel and a point does not have each of the three
-            components exactly once.
+            If a point does not exist, or the axes are not parallel and a point does not have a sensor along each
+            of the three axes exactly once.
         """
         values = None if shapes is None else np.array(shapes, dtype=float)
         if self.is_parallel:
@@ -162,8 +162,10 @@ def match(
     Raises
     ------
     ValueError
-        If a coordinate is not finite, a known point or node does not exist, or the points do not fit the mesh. The
-        message says if the points would fit in another unit, or mirrored.
+        If the unit is unknown, a coordinate is not finite, there are fewer than two nodes, a known point or node
+        does not exist, fewer than three points are known or these are on one line, or the points do not fit the
+        mesh or fit much better mirrored. If points do not fit, the message says if they would fit in another unit,
+        or mirrored.
     """
     if unit not in UNITS:
         raise ValueError(f"unit: must be one of {', '.join(UNITS)} (got {unit!r})")
@@ -268,7 +270,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a list with a warning if other alignments fit equally well, otherwise an empty list."""
+    """Return a list with a warning if other alignments fit equally well; otherwise return an empty list."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"
@@ -279,7 +281,7 @@ def _of_alignments(others: Sequence[Alignment]) -> list[str]:
 
 
 def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
-    """Return warnings about points matched to several coincident nodes, and about points that share a node."""
+    """Return at most five warnings about points at several coincident nodes, or about points that share a node."""
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
         f"{those[0]} is taken."
@@ -298,7 +300,8 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
 def _of_distances(found: Matching, second: FloatArray) -> list[str]:
     """Return warnings about points that are far from their nodes, or almost as close to another node.
 
-    `second` is the distance of each point from its second-nearest node, in m.
+    `second` is the distance of each point from its second-nearest node, in m. From the sixth warning on, only the
+    number of points is given.
     """
     far = found.distances / found.spacing
     doubts = [
@@ -327,7 +330,7 @@ def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
 
 
 def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
-    """Return a phrase that names the unit in which the points would fit, or an empty string if none does."""
+    """Return a phrase that names the first other unit in which the points fit, or an empty string if none does."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
             R, t, _ = align_points(factor * given, mesh)

@@ -24,11 +24,10 @@ from fmu.types import Dof, FloatArray, IntArray
 class FrequencyMap(Protocol):
     """Protocol for a user's own model: it maps parameters to the frequencies of the measured modes.
 
-    The optional attributes ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and
-    ``reasons`` have the same meaning as in `ModalModel`.
-
-    To compare mode shapes too, the model needs `observed`, which returns a
-    `fmu.fem.pairing.prediction.ModalPrediction`.
+    To compare mode shapes too, the model needs the method ``observed``, which returns a
+    `fmu.fem.pairing.prediction.ModalPrediction`. The other optional attributes, ``gives_shapes``,
+    ``configuration``, ``solves_per_gradient`` and ``reasons``, have the same meaning as in `ModalModel`, but
+    ``gives_shapes`` is True by default if there is an ``observed``.
 
     Attributes
     ----------
@@ -128,7 +127,10 @@ class ModalModel:
 
     @contextmanager
     def spread_over(self, engine: Engine | None) -> Iterator[None]:
-        """Within a ``with`` block, let an engine's workers call user functions and solve large matrices."""
+        """Within a ``with`` block, let an engine's workers call user functions and solve large matrices.
+
+        Without an engine, nothing changes.
+        """
         with ExitStack() as stack:
             if engine is not None:
                 for function in self.functions:
@@ -152,7 +154,10 @@ class ModalModel:
         return np.zeros(self.n_modes, dtype=np.int64)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the structure that parameter `k` changes and its index there, or None if it has no matrices."""
+        """Return the structure that parameter `k` changes and the parameter's index there.
+
+        Return None if the model has no matrices, or if `k` is not one of its parameters.
+        """
         return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
@@ -188,7 +193,7 @@ class ModalModel:
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return one test's frequencies in Hz at the test's own parameters, one per measured mode, (n, P)."""
+        """Return one test's frequencies in Hz, (n, m) for its m measured modes, at `values` (n, n_structural)."""
         return self.frequencies(values)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -202,9 +207,10 @@ class ModalModel:
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies, gradients, and second derivatives along directions that are given later.
 
-        ``found.gradient`` is the exact J (n, n_modes, n_parameters); ``found.curvature(d)`` with d of the same
-        shape then returns H_i d_i. For structures given by matrices, both come from one eigenproblem. By default,
-        the second derivatives are differences of exact gradients, at a cost of 2 n_modes more gradients per theta.
+        The result's `gradient` is J (n, n_modes, n_parameters). Its ``curvature(d)``, with d of the same shape,
+        returns H_i d_i for each mode i. For structures given by matrices, both come from one eigenproblem. By
+        default, the second derivatives are differences of gradients, at a cost of 2 n_modes more gradients per
+        theta.
 
         Parameters
         ----------
@@ -259,7 +265,7 @@ class PartialModel(ModalModel):
         return frequencies[:, self._modes], gradient[:, self._modes]
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
+        """Return the predicted frequencies and sensor shapes at theta (n, n_parameters), without variances.
 
         Derivatives are included if `gradient`.
         """
@@ -276,7 +282,10 @@ class PartialModel(ModalModel):
 
 
 class GivenModel(ModalModel):
-    """Adapter from a user's own `FrequencyMap` to a `ModalModel`; attributes that it lacks have their defaults."""
+    """Adapter that turns a user's own `FrequencyMap` into a `ModalModel`.
+
+    Optional attributes that the user's model lacks have their default values.
+    """
 
     def __init__(self, given: Any, n_sensors: int) -> None:
         self.given, self.n_sensors = given, n_sensors
@@ -304,7 +313,7 @@ class GivenModel(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the user's frequencies in Hz, (n, n_modes), and gradients, (n, n_modes, n_parameters).
 
-        Raise ValueError under the same conditions as `frequencies`.
+        Raise ValueError if the user's method raises an exception or does not return two arrays of these shapes.
         """
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
         given = self._call(method, theta)
@@ -333,7 +342,8 @@ class GivenModel(ModalModel):
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return the user's prediction at the sensors.
 
-        Raise ValueError under the same conditions as `frequencies`.
+        Raise ValueError if the user's method raises an exception, or does not return a `ModalPrediction` with
+        arrays of the right shapes.
         """
         given = self._call("observed", theta, gradient)
         if not isinstance(given, ModalPrediction):
@@ -365,4 +375,4 @@ def as_modal_model(given: ModalModel | FrequencyMap, n_sensors: int = 0) -> Moda
 
 
 Model = SeparableModel | BlackBoxModel | ModalModel | FrequencyMap
-"""Models that a problem accepts; the modes of matrices and of functions are still to be paired."""
+"""Models that a problem accepts. The modes of a `SeparableModel` or `BlackBoxModel` are not paired yet."""

@@ -82,7 +82,8 @@ class PairedBlackBox(ModalModel):
         Raises
         ------
         ValueError
-            If the pairing is unknown, or the function fails at the starting point or gives too few modes.
+            If the pairing is unknown or, at the starting point, the function fails, gives too few modes or invalid
+            frequencies, or gives shapes that do not fit the sensors although modes are paired by MAC.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -105,14 +106,15 @@ class PairedBlackBox(ModalModel):
         return self.black_box.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), with NaN where the function failed."""
+        """Return frequencies in Hz, shape (n, n_modes), with NaN where the function or the pairing failed."""
         return self._pair_modes(theta)[0]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters).
 
         If the function returns no gradients, central differences with the perturbations in eq. (15) of the paper
-        are used. They are one-sided at a bound, and where the function fails on one side.
+        are used. They are one-sided at a bound and where the function fails on one side, and NaN where it fails on
+        both.
         """
         frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -169,7 +171,10 @@ class PairedBlackBox(ModalModel):
         return None
 
     def _pair_modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the paired frequencies, the function's own gradients and the shapes; missing values are NaN."""
+        """Return the paired frequencies, the function's own gradients and the shapes; missing values are NaN.
+
+        A result whose modes cannot be paired is recorded as a failure.
+        """
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)
         for i, solve in enumerate(self.black_box.solved.of(theta)):
@@ -190,8 +195,8 @@ class PairedBlackBox(ModalModel):
     def _columns(self, answer: Answer | Solve) -> IntArray:
         """Return the index of the computed mode paired with each measured mode, shape (n_modes,).
 
-        Raise AnswerError if a paired mode is missing or its frequency is invalid, or the shapes do not fit the
-        sensors.
+        Raise AnswerError if a paired mode is missing or its frequency is invalid or, when pairing by MAC, the
+        shapes are not finite or do not fit the sensors.
         """
         given = len(answer.frequencies)
         if self.reference is None:
@@ -220,7 +225,8 @@ class PairedBlackBox(ModalModel):
         """Return the derivatives (n, k, n_parameters) of values `here` (n, k), by central differences.
 
         ``nearby(points, of)`` returns the values at displaced points; `of` is the index of each point's row in
-        theta.
+        theta. Where the function fails on one side, the difference is one-sided; where it fails on both, it is
+        NaN.
         """
         n, ndim = theta.shape
         points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)

@@ -113,14 +113,14 @@ class PairedStructure(ModalModel):
         pairing : {"shape", "index", "soft"}
             ``"shape"``: one-to-one assignment by MAC with the measured shapes at the sensors. If no shapes were
             measured, the MAC is with the model's visible modes at `reference`, at all translations. ``"index"``:
-            by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates` gives all
-            candidate modes.
+            by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, but every measured mode is compared
+            with all candidates, with weights.
         numbers : tuple of int
             Number (from 1) of each measured mode.
         elastic_from_hz : float, optional
             The lowest measured frequency, given if number 1 is the first elastic mode: modes far below this
             frequency are then rigid-body modes of a free structure. By default, `numbers` count rigid-body modes
-            too.
+            too. Used only by ``"index"``.
         sensors : tuple of (node, direction)
             Measured degrees of freedom; all translations if empty.
         reference : ndarray, shape (n_parameters,)
@@ -136,8 +136,8 @@ class PairedStructure(ModalModel):
         Raises
         ------
         ValueError
-            If the pairing is unknown, the model has too few modes, a sensor is not on the model, or the sensors
-            cannot see the modes.
+            If the pairing is unknown, the model has too few modes, a sensor is not on the model, the sensors
+            cannot see the modes, `numbers` are not distinct, or `softness` is not positive and finite.
         """
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
@@ -263,7 +263,7 @@ class PairedStructure(ModalModel):
         return frequencies_of(self.modes(theta, gradient=True))
 
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
-        """Return the frequencies with exact first and second derivatives; see `ModalModel`."""
+        """Return the frequencies with exact first and second derivatives; see `ModalModel`. `steps` is ignored."""
         count_solves(len(theta), with_gradients=True)
         with single_thread():
             return self.solve_sensitivities(theta, shapes)
@@ -275,7 +275,7 @@ class PairedStructure(ModalModel):
         return StructureSensitivities(self.blocks, located, counts, theta, sensors)
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return the eigenvalues in (rad/s)² of all candidate modes and of one additional mode per block.
+        """Return the eigenvalues in (rad/s)² of all candidate modes, and of one more mode per block if it exists.
 
         Returns
         -------
@@ -298,7 +298,7 @@ class PairedStructure(ModalModel):
     def spectra(self, theta: FloatArray, counts: Mapping[int, int]) -> FloatArray:
         """Return the lowest `counts[b]` eigenvalues of each block b in (rad/s)², shape (n, n_candidates).
 
-        Modes for which a reduced block was not trained are NaN.
+        They are NaN where a solve failed, and for modes for which a reduced block was not trained.
         """
         parts = []
         for b, count in counts.items():

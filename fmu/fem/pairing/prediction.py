@@ -86,7 +86,7 @@ class Candidates:
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
-    """Return a dataclass of arrays (n, …) in which the rows marked in `rows` come from `other`.
+    """Return a dataclass of arrays (n, …) in which the rows marked in `rows` are replaced by all rows of `other`.
 
     Attributes that are None stay None.
     """
@@ -197,7 +197,8 @@ def _compare(
     """Return the MAC between reference i and mode k, (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), and its derivatives.
 
     The MAC has shape (n, m, k). If `seen` has no shape derivatives, the derivatives of the MAC are None. With c =
-    ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
+    ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l. A mode that moves none of the coordinates has a
+    MAC of −inf with derivatives 0.
     """
     phi = np.ascontiguousarray(seen.shapes)
     length = np.sum(phi**2, axis=1)

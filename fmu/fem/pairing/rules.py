@@ -30,7 +30,7 @@ SOFTNESS = 0.02
 AT_ONCE = 16
 """Number of points whose shapes are compared at once, which limits the memory."""
 Observed = Mapping[int, Observation] | None
-"""Observations of the blocks whose shapes are compared, by block index, if known."""
+"""Observations of the blocks whose shapes are compared, keyed by block index; None if not known yet."""
 
 
 class Pairing(ABC):
@@ -45,15 +45,12 @@ class Pairing(ABC):
     is_constant: ClassVar[bool] = False
 
     def observe(self, blocks: Sequence[Block]) -> dict[int, Observation]:
-        """Return the `Observation` of each block whose shapes are compared.
-
-        It is empty if no shapes are compared.
-        """
+        """Return the `Observation` of each block whose shapes are compared, keyed by block; empty by default."""
         return {}
 
     @abstractmethod
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of each block's lowest modes must be computed to include all paired modes."""
+        """Return how many of each block's lowest modes must be computed for all paired modes, keyed by block."""
 
     @abstractmethod
     def solve(
@@ -70,8 +67,8 @@ class Pairing(ABC):
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return the block and rank of each paired mode, (n, n_modes) each, and the solved modes keyed by block.
 
-        Block and rank are −1 in rows where a solve failed. With `gradient`, enough modes are computed for
-        `Block.seen` to give derivatives.
+        Block and rank are −1 in rows where a solve failed. Rules that know them without solving shapes return an
+        empty dict. With `gradient`, enough modes are computed for `Block.seen` to give derivatives.
         """
 
 
@@ -84,7 +81,7 @@ class RankPairing(Pairing):
     is_constant: ClassVar[bool] = True
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of each block's lowest modes must be computed to include all paired modes."""
+        """Return how many of each block's lowest modes must be computed; blocks without paired ones are absent."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
 
@@ -152,12 +149,14 @@ def _as_slice(indices: IntArray) -> slice | IntArray:
 class IndexPairing(Pairing):
     """The paper's pairing of measured mode i with mode ``numbers[i]`` (from 1) in the sorted spectrum.
 
+    Raise ValueError if there are no numbers, or if they are not distinct and positive.
+
     Attributes
     ----------
     numbers : tuple of int
     n_rigid : int
         Number of rigid-body modes, already added to `numbers`, if the measured numbers start at the first elastic
-        mode.
+        mode; otherwise 0.
     """
 
     numbers: tuple[int, ...]
@@ -180,7 +179,7 @@ class IndexPairing(Pairing):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return the block and rank of each paired mode; see `Pairing`."""
+        """Return the paired modes' blocks and ranks, and an empty dict; with one block, nothing is solved."""
         if len(blocks) == 1:  # a number is a rank, so that nothing is solved for
             rank = np.tile(np.array(self.numbers) - 1, (len(theta), 1))
             return np.zeros_like(rank), rank, {}
@@ -234,7 +233,10 @@ class ShapePairing(Pairing):
     def solve(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool = False, observed: Observed = None
     ) -> ModalSolution:
-        """Return the modes assigned by MAC, from all blocks in which a reference shape is nonzero."""
+        """Return the modes assigned by MAC, from all blocks in which a reference shape is nonzero.
+
+        If one of these blocks cannot be solved at a theta, all modes there are NaN.
+        """
         solved, merged, (block, rank, column) = self._solve(blocks, theta, False, observed)
         # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
@@ -327,7 +329,7 @@ class ShapePairing(Pairing):
         observed : mapping of int to Observation
             From `observe`.
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
-            Modes of each of these blocks.
+            Modes of each of these blocks; a mode with NaN has MAC 0.
         """
         reference_size = np.sum(self.shapes**2, axis=0)[:, None]
         similarity, label = [], []
@@ -349,8 +351,8 @@ class ShapePairing(Pairing):
 class SoftPairing(ShapePairing):
     """Pairing of every measured mode with every candidate, with normalised weights exp(MAC/τ).
 
-    `solve` and `locate` are inherited from `ShapePairing` and give the modes of the one-to-one assignment. A soft
-    pairing is never constant, because all candidates are needed everywhere.
+    `solve` and `locate` give the modes of the one-to-one assignment, as in `ShapePairing`. A soft pairing is never
+    constant, because all candidates are needed everywhere. Raise ValueError unless τ is positive and finite.
 
     Attributes
     ----------
@@ -367,7 +369,7 @@ class SoftPairing(ShapePairing):
             raise ValueError(f"softness: must be positive and finite (got {self.softness})")
 
     def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return None, because a soft pairing is never constant."""
+        """Return None: a soft pairing is never constant."""
         return None
 
 

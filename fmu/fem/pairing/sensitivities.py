@@ -1,9 +1,10 @@
-"""Frequencies, gradients, and second derivatives along one direction per mode, from the same eigenproblem.
+"""Frequencies, their gradients, and their second derivatives along one direction per mode.
 
 With λ = (2πf)² and the second derivatives H^λ of an eigenvalue (`fmu.fem.modes.block.Block.eigenvalue_curvature`),
 the second derivatives of a frequency along d are H d = (H^λ d/(8π²) − ∂f/∂θ (∂f/∂θ·d))/f. For models given by
-matrices they are exact; for other models they are differences of exact gradients. Weighted sums of the shapes'
-second derivatives (`fmu.fem.modes.block.Block.shape_curvature`) are available only for models given by matrices.
+matrices they are exact and come from the same eigenproblem as the gradients; for other models they are differences
+of gradients. Weighted sums of the shapes' second derivatives (`fmu.fem.modes.block.Block.shape_curvature`) are
+available only for models given by matrices.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _STEP = 1e-4
-"""Largest difference step for a parameter, in units of its size. The error is of the order of its square."""
+"""Largest difference step for a parameter, in units of its size. The relative error is about its square."""
 
 
 class Steps(NamedTuple):
-    """Sizes and limits for the difference steps applied to exact gradients.
+    """Sizes and limits for the difference steps applied to gradients.
 
     Attributes
     ----------
@@ -76,7 +77,7 @@ class Sensitivities:
 
 
 class SensitivitiesByDifferences(Sensitivities):
-    """Exact gradients of any model, with second derivatives by central differences.
+    """A model's gradients, with second derivatives by central differences of the gradients.
 
     Parameters
     ----------
@@ -95,8 +96,8 @@ class SensitivitiesByDifferences(Sensitivities):
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
         """Return second derivatives along `d` from 2 m gradients per theta; see `Sensitivities.curvature`.
 
-        At a bound, the midpoint of the difference is moved inwards by one step, which makes the relative error as
-        large as the step.
+        `of_shapes` is ignored. At a bound, the midpoint of the difference is moved inwards by one step, which
+        makes the relative error as large as the step.
         """
         n, m, p = d.shape
         lower, upper = self._steps.bounds

@@ -26,7 +26,7 @@ class Answer(NamedTuple):
 
 
 class AnswerError(ValueError):
-    """Raised when the function's result has the wrong type or shape."""
+    """Raised when a function's result has the wrong type, shape or values, or when a program's run fails."""
 
 
 def read_answers(given: object, n_parameters: int, n_points: int | None = None) -> list[Answer]:
@@ -43,7 +43,8 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
     Raises
     ------
     AnswerError
-        If the result has the wrong type or shape.
+        If the result has the wrong type or shape or unknown keys, lacks frequencies, is a coroutine, or has an
+        array of more than `MOST_NUMBERS` elements.
     """
     if inspect.iscoroutine(given):
         given.close()  # otherwise Python warns that it was never awaited
@@ -72,7 +73,10 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
 
 
 def _parts(given: object) -> list[Any]:
-    """Return the frequencies, shapes and gradient as a list, with None for each missing array."""
+    """Return the frequencies, shapes and gradient as a list, with None for each missing array.
+
+    Raise AnswerError if frequencies are missing from a mapping, or there are other arrays.
+    """
     by_name = mapping_in(given)
     if by_name is not None:
         unknown = [key for key in by_name if key not in _PARTS]

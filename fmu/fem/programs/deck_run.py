@@ -143,7 +143,10 @@ class DeckRun:
         return one_line(f"{self.command[0]}: {why}" + (f"; it printed at the end: {said}" if said else ""))
 
     def move_failed(self, reason: str, folder: Path, failed: Path) -> str:
-        """Move a failed run's folder to `failed`, and return the reason with the new location added."""
+        """Move a failed run's folder to `failed`, and return the reason with the new location added.
+
+        If the folder cannot be moved, return the reason unchanged.
+        """
         failed.parent.mkdir(parents=True, exist_ok=True)
         with suppress(OSError):
             folder.replace(failed)

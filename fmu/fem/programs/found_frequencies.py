@@ -76,9 +76,10 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return all matches, found in a separate process, because some patterns never terminate.
+        """Return all matches in a file.
 
-        The search runs in a process that can be killed, as some never end.
+        The search runs in a separate process, which is killed after `seconds`, because some patterns never end.
+        Raise ArgumentError if it is killed or fails.
         """
         command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
         try:

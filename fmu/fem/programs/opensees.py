@@ -85,8 +85,9 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     Raises
     ------
     ValueError
-        If openseespy is missing, `build` raises an exception or creates no nodes, OpenSees cannot assemble the
-        matrices, a node has degrees of freedom without a name, or the stiffness is not symmetric or not finite.
+        If openseespy is missing, `build` raises an exception or creates no nodes, no degree of freedom is free or
+        more than `MOST_DOFS` are, a node has degrees of freedom without a name, or the stiffness or mass is zero,
+        not symmetric or not finite.
     """
     ops = _openseespy()
     with _alone(ops):
@@ -169,7 +170,8 @@ def from_opensees(
     Raises
     ------
     ValueError
-        If the matrices are not sums of products of parameter powers, or as for `export_matrices`.
+        If there are no names, `start`, `lower` or `upper` is not one number per name, the matrices are not sums of
+        products of parameter powers, or as for `export_matrices`.
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
         if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
@@ -204,14 +206,15 @@ class OpenSeesModel(BlackBoxModel):
     start : array_like, shape (n_parameters,)
         Parameters at which the model is built once to obtain its degrees of freedom.
     modes : int
-        Number of modes to compute.
+        Number of modes to compute, or all if the model has fewer degrees of freedom. Solves fail if fewer modes
+        have a finite frequency because degrees of freedom have no mass.
     step, store
         See `BlackBoxModel`.
 
     Raises
     ------
     ValueError
-        See `export_matrices`.
+        If `start` is not a list of finite numbers, or as for `export_matrices`.
     """
 
     place = "model.file"
@@ -337,6 +340,7 @@ def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
 
     Fixed degrees of freedom have negative numbers. `follows` says whether nodes follow others, which requires the
     handler Transformation. For such a node, the equations of the followed nodes come after its own equations.
+    Raise ArgumentError if there are no equations or more than `MOST_DOFS`.
     """
     begin_analysis(ops, "Transformation" if follows else "Plain", "GimmeMCK", 0.0, 0.0, 1.0)
     ops.analyze(1, 0.0)

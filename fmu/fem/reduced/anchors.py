@@ -6,7 +6,8 @@ If every term K_k is positive semidefinite, then
 
 (the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for
 Parametrized Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box is enough if
-no coefficient changes by more than a factor of about 30. If a stiffness may vanish, there are several anchors.
+no stiffness parameter changes by more than a factor of about 30. If a stiffness may vanish, there are several
+anchors.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray
 
-# A box in which a coefficient changes by more than this factor is halved, and has two anchor points.
+# A box in which a stiffness parameter changes by more than this factor is halved, and has more anchor points.
 _WIDE = 30.0
 # Where α divided by the largest ratio of coefficients is below this, an anchor point gives no useful bound.
 _FAR = 1e-3
@@ -40,12 +41,14 @@ NO_MODES = "the eigenproblem of K and M has no solution"
 
 
 class SingularAnchorError(ValueError):
-    """Raised if K + s M is singular: some displacement has neither stiffness nor mass, or has negative mass.
+    """Raised if K + s M is not positive definite at an anchor point, M is not in a space, or there are no modes.
+
+    Some displacement then has neither stiffness nor mass, or has negative mass.
 
     Attributes
     ----------
     parameter : int or None
-        Index of a parameter that is zero at the anchor point, or None if there is none.
+        Index of the first parameter that is zero at the anchor point, or None if there is none.
     """
 
     def __init__(self, message: str, parameter: int | None = None) -> None:
@@ -64,7 +67,8 @@ class Far(NamedTuple):
         Index of the parameter that contributes most: resetting it to its value at the first anchor point helps
         most.
     value : float
-        Value of this parameter beyond which the point is far, found by bisection.
+        Value of this parameter beyond which the point is far, found by bisection. It is the point's own value if
+        the point stays far even after resetting the parameter.
     is_above : bool
         True if the point is far above `value`, False if below.
     is_negative : bool
@@ -93,15 +97,15 @@ class Anchors:
         The anchor points; the first lies in the middle of the box.
     shift : float
         The shift s in K + s M. It is 0 if K is clearly positive definite at all anchor points; otherwise it is
-        about the lowest elastic eigenvalue.
+        the lowest elastic eigenvalue at the first one, or more if K is negative for some motion.
     proven : bool
-        Whether all terms are positive semidefinite, with coefficients that are not negative in the box. If not, α
-        is estimated as the smallest eigenvalue of the reduced matrices.
+        Whether all terms in K + s M are positive semidefinite, with coefficients that are not negative in the box.
+        If not, α is estimated as the smallest eigenvalue of the reduced matrices.
 
     Raises
     ------
     SingularAnchorError
-        If K + s M is singular at an anchor point.
+        If K + s M is not positive definite at an anchor point, or the block has no modes at the first one.
     """
 
     def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray) -> None:
@@ -186,7 +190,7 @@ class Anchors:
         return self.block.run_tasks(work, self, tasks, sum(of.n_bytes for of in self._factors.values()))
 
     def _kept_factor(self, a: int) -> Factor | None:
-        """Return the factors of a large, clearly definite K, or None for any other K.
+        """Return the factors of a large, clearly definite K, or None for any other K or if s is not 0.
 
         They are reused if the block still has them from its last solve.
         """
@@ -197,7 +201,10 @@ class Anchors:
         return self._factors.get(a)
 
     def modes(self, count: int) -> Space:
-        """Return the space of the full model's lowest `count` modes, and a few more, at all anchor points."""
+        """Return the space of the full model's lowest `count` modes, and a few more, at all anchor points.
+
+        Anchor points where the solver fails are skipped. Raise SingularAnchorError if it fails at all of them.
+        """
         if self._modes is None or self._modes.size < count:
             space = Space.empty(self.block, self.shift)
             for at in self.theta:

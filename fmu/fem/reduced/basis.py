@@ -42,7 +42,7 @@ class ReducedBlock(Block):
     ----------
     block : FullBlock
     basis : ndarray, shape (block.size, r)
-        Basis vectors, orthonormal in the mass matrix at the box's centre.
+        Basis vectors, made orthonormal at the box's centre by `fmu.fem.reduced.points.mass_orthonormal`.
     n_trained : int
         Number of lowest modes for which the basis was trained.
 
@@ -156,7 +156,7 @@ class ReducedBlock(Block):
         return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
 
     def pull_back_terms(self, theta: FloatArray, by_terms: FloatArray) -> FloatArray:
-        """Convert derivatives for K's coefficients to derivatives for the parameters theta, (n, n_parameters)."""
+        """Convert derivatives for K's coefficients, (n, n_terms), to derivatives for theta, (n, n_parameters)."""
         return self._K_map.contract(theta, by_terms[..., None])[:, 0]
 
     def pull_back(self, theta: FloatArray, by_K: FloatArray, by_M: FloatArray) -> FloatArray:
@@ -232,9 +232,10 @@ class ReducedBlock(Block):
     def _slopes(
         self, theta: FloatArray, coefficient: ParametricMatrix, rows: FloatArray, phi: FloatArray, count: int
     ) -> FloatArray:
-        """Return modal products φ_kᵀ (∂K/∂θ) φ_i, shape (n, r, count, n_parameters).
+        """Return φ_kᵀ (∂A/∂θ) φ_i for A = K or M, shape (n, r, count, n_parameters).
 
-        Mode k is any mode, and mode i is one of the lowest `count`.
+        Index k runs over all r modes, and i over the lowest `count`. `coefficient` and `rows` belong to A: its
+        coefficients, and the matrices of its terms on top of one another.
         """
         n, r, _ = phi.shape
         products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)

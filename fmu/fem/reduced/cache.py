@@ -26,7 +26,7 @@ _TITLE = "fmu basis 1"
 
 
 def load_basis(key: object) -> dict[str, FloatArray] | None:
-    """Return the arrays that `store_basis` stored for `key`, or None if there are none.
+    """Return the arrays that `store_basis` stored for `key`, or None if there are none or the file is damaged.
 
     `key` is serialised as JSON.
     """
@@ -42,7 +42,7 @@ def load_basis(key: object) -> dict[str, FloatArray] | None:
 
 
 def store_basis(key: object, state: dict[str, FloatArray]) -> None:
-    """Store the arrays `state` for `key` atomically. Do nothing if the cache cannot be written."""
+    """Store the arrays `state` for `key` atomically. Do nothing if there is no cache or it cannot be written."""
     path = _path(key)
     if path is None:
         return

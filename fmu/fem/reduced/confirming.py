@@ -56,7 +56,9 @@ class _Start(NamedTuple):
 
 
 class ConfirmedBlock(FullBlock):
-    """A large block whose full modes inside the trained box are iterated from the modes of its reduced model.
+    """A large block whose modes are computed by iterations that start from the modes of its reduced model.
+
+    Modes that do not converge are computed as in `FullBlock`. So are all modes once one was found to be missing.
 
     Parameters
     ----------
@@ -110,7 +112,10 @@ class ConfirmedBlock(FullBlock):
         return found if self._is_complete else {}
 
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
-        """Return the initial data at theta (1, p), or None if iterations cannot start there."""
+        """Return the initial data at theta (1, p), or None if iterations cannot start there.
+
+        They cannot if α is not positive, a reduced problem fails, or the spaces have only `count` vectors.
+        """
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
         (best,), (alpha,) = self._anchors.nearest(theta, space)

@@ -45,7 +45,7 @@ class Cost:
     n_terms : int
         Number of stiffness terms, plus the number of mass terms if parameters change the mass.
     massless : bool
-        Whether degrees of freedom have no mass.
+        Whether the mass matrix is singular.
     """
 
     n_dof: int
@@ -91,10 +91,11 @@ class Cost:
 
 
 def memory_in_words(model: SeparableModel) -> str:
-    """Return a sentence on the memory that a run with a reduced model needs, or "" if no block is large.
+    """Return a sentence on the memory that a run with a reduced model needs, or "" if no factors are stored.
 
-    The sentence also says if less memory than that is free. The constants come from frames, solids and shells in
-    the study of large structures, where the estimates agree with the measured peaks within a fifth.
+    Factors are stored for blocks with at least `LARGE` degrees of freedom that have been solved. The sentence also
+    says if less memory than that is free. The constants come from frames, solids and shells in the study of large
+    structures, where the estimates agree with the measured peaks within a fifth.
     """
     kept = [model.last_factor(dofs).factor for dofs in model.blocks if len(dofs) >= LARGE]
     of_factors = sum(factor.n_bytes for factor in kept if factor is not None)

@@ -47,6 +47,8 @@ _ROUNDING = 1e-13
 class Learner:
     """The growing trial space of one block, and the points visited in training.
 
+    Raise SingularAnchorError if `Anchors` does.
+
     Parameters
     ----------
     block : FullBlock
@@ -99,7 +101,7 @@ class Learner:
 
         Errors are small enough if those of the lowest m modes are at most `SHARE` times `share` times `allowed`
         (m,). If an error exceeds `GROWN` times `share` times `allowed`, that mode's correction is added to the
-        space.
+        space, unless the space is full. Points where the solver fails are not good.
         """
         allowed = share * allowed
         good = np.empty(len(theta), dtype=bool)
@@ -121,7 +123,8 @@ class Learner:
         """Return the largest relative difference between frequencies in `cut` and in the full trial space.
 
         Only the `needed` lowest modes are compared. Points in theta (n, p) where the difference exceeds `allowed`
-        are added to the visited points.
+        are added to the visited points. The difference is infinite where only the solve in `cut` fails, and 0
+        where the solve in the full space fails.
         """
         lam = self.space.modes(theta, needed)[0]
         off = np.max(apart(cut.modes(theta, needed)[0], lam), axis=1)
@@ -198,7 +201,7 @@ class Learner:
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
         """Return a small space that reproduces the visited points' frequencies, and a rotation (q, q).
 
-        The frequencies agree within `tolerance`.
+        The frequencies agree within `tolerance`, unless more than `largest` vectors would be needed.
 
         The rotation's columns are the space's principal directions, in descending order of energy.
 
@@ -277,6 +280,9 @@ def balance_directions(
     larger weight in the next decomposition, which reduces the largest remainder. Lawson's algorithm does this for
     polynomials (Lawson 1961, *Contributions to the theory of linear least maximum approximation*).
 
+    There are at most `largest` directions, and no more than the larger of `smallest` and the number after which
+    every remainder is negligible compared with `tolerance`.
+
     Returns
     -------
     Q : ndarray, shape (r, q)
@@ -308,7 +314,7 @@ def balance_directions(
 def snapshot_basis(
     block: FullBlock, anchors: Anchors, theta: FloatArray, count: int, size: int, tolerance: float
 ) -> FloatArray:
-    """Return the basis (n_dof, size) that best approximates the lowest modes at theta (n, n_parameters).
+    """Return the basis (n_dof, q) that best approximates the lowest modes at theta (n, n_parameters).
 
     It is meant for a box so wide that no basis is accurate everywhere. The modes are compressed by proper
     orthogonal decomposition in the inner product of Ā = K + s M at an anchor point. In this inner product the
@@ -321,11 +327,11 @@ def snapshot_basis(
     block : FullBlock
     anchors : Anchors
     theta : ndarray, shape (n, n_parameters)
-        Points where a solve fails are skipped.
+        Points where a solve fails are skipped; at least one must succeed.
     count : int
         Number of modes at each point.
     size : int
-        Largest number of basis vectors.
+        Largest number q of basis vectors.
     tolerance : float
         Relative error of an eigenvalue below which a mode needs no further directions.
     """

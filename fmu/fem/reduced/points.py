@@ -34,7 +34,10 @@ def affordable(n_dof: int) -> int:
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return the largest number of trial vectors for a block: twice the affordable number, limited to 2 GiB."""
+    """Return the largest number of trial vectors for a block: twice the affordable number, limited to 2 GiB.
+
+    A block with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors.
+    """
     return n_dof if n_dof <= DENSE_LIMIT else min(2 * affordable(n_dof), n_dof, MEMORY // (8 * n_dof))
 
 
@@ -51,7 +54,8 @@ class Trained:
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     confirmed : bool
-        Whether training succeeded: the errors at fresh points were all within the tolerance.
+        False if training ended without success: errors at fresh points were not all within the tolerance. True
+        also for a model that was restored, or trained only at given points.
     anchors : mapping of int to Anchors
         Anchor points of each block, keyed by block index, if training used any.
     elsewhere : float or None
@@ -97,10 +101,9 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
     """Return up to `n` points (m, n_parameters) in a box, each with some parameters near zero.
 
-    These are parameters whose lower bound is zero.
-
-    If a stiffness nearly vanishes, the structure has modes that do not exist where this stiffness is exactly zero,
-    on the face of the box. Points that cover the box evenly miss these modes too.
+    Only parameters whose lower bound is zero are set near zero; without any, there are no points. If a stiffness
+    nearly vanishes, the structure has modes that do not exist where this stiffness is exactly zero, on the face of
+    the box. Points that cover the box evenly miss these modes too.
     """
     rng = np.random.default_rng(n + seed)
     points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))

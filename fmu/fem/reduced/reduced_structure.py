@@ -48,7 +48,7 @@ class ReducedStructure(Approximation):
     cheap : PairedStructure
         The same structure and measured modes, solved with the reduced blocks.
     confirmed : bool
-        Whether training succeeded: the errors at fresh points in the box were within the tolerance.
+        Whether training succeeded; see `Trained`.
     elsewhere : float or None
         The larger tolerance outside the part of the box that matters, or None if one tolerance applies everywhere.
     """
@@ -203,9 +203,10 @@ class ReducedStructure(Approximation):
         """Return bounds on the relative errors of the reduced model's frequencies, shape (n, n_modes).
 
         The bounds follow from the residuals of the paired modes at theta (n, n_parameters). They do not verify the
-        ranks of these modes in the spectrum. A bound is infinite if none is known. `fmu.fem.reduced.residuals`
-        explains which parts of the bound are proven and which are estimated. The cost is one linear solve per
-        mode, and no eigenproblem. The matrix is factorised at the first call.
+        ranks of these modes in the spectrum. A bound is infinite outside the box, or if none is known.
+        `fmu.fem.reduced.residuals` explains which parts of the bound are proven and which are estimated. The cost
+        is at most one linear solve per mode, and no eigenproblem of the full model. The matrix is factorised at
+        the first call unless factors are left from training.
         """
         with single_thread():
             inside = self.within(theta)
@@ -303,6 +304,11 @@ def train(
         `why_full`.
     state : dict of str to ndarray
         The arrays from which `restore` rebuilds the same model.
+
+    Raises
+    ------
+    SingularAnchorError
+        If the structure has no modes in the middle of the box, or a displacement has neither stiffness nor mass.
     """
     with single_thread():
         for left in range(_WIDENED, -1, -1):

@@ -73,9 +73,10 @@ class Bounded(NamedTuple):
 def bound_errors(
     space: Space, anchors: Anchors, theta: FloatArray, count: int, shared: SharedResiduals | None = None
 ) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) and their error bounds; NaN where the solver fails.
+    """Return the lowest `count` modes at theta (n, p) and their error bounds.
 
-    If the space's residuals are given in `shared`, no linear system is solved.
+    Where the solver fails, the modes are NaN and the bounds infinite. If the space's residuals are given in
+    `shared`, no linear system is solved.
     """
     known = anchors.modes(count)
     wanted = min(known.size, space.size, count + AHEAD)
@@ -136,6 +137,8 @@ def frequency_error(
 ) -> FloatArray:
     """Return bounds on the relative errors of the frequencies, shape (n, m).
 
+    A bound is 0 for a rigid-body mode, and infinite where none is known.
+
     Parameters
     ----------
     lam : ndarray, shape (n, m)
@@ -147,7 +150,7 @@ def frequency_error(
     mass : ndarray, shape (n, m)
         The forms wᵀ M w.
     alpha : ndarray, shape (n,)
-        The factors α in A ≥ α Ā.
+        The factors α in A ≥ α Ā; there is no bound where α is not positive.
     rest : ndarray, shape (n,)
         The lowest σ of a mode that the trial vectors do not represent; infinite where it is unknown.
     """
@@ -186,7 +189,9 @@ def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
 
 @dataclass(eq=False)
 class FrequencyBound:
-    """Error bounds for a trained model's frequencies at any point in its box, at the cost of one solve per mode.
+    """Error bounds for a trained model's frequencies at any point in its box.
+
+    They cost at most one solve per mode.
 
     Parameters
     ----------
@@ -210,7 +215,10 @@ class FrequencyBound:
         self._anchors = dict(anchors)
 
     def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
-        """Return bounds on the relative frequency errors, shape (n, m), for modes at theta (n, p)."""
+        """Return bounds on the relative frequency errors, shape (n, m), for modes at theta (n, p).
+
+        They are 0 in blocks that are not reduced, and infinite where no bound is known.
+        """
         error = np.full(modes.rank.shape, np.inf)
         for b in np.unique(modes.block):
             row, column = np.nonzero(modes.block == b)

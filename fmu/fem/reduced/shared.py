@@ -51,7 +51,11 @@ class SharedResiduals:
 
     @classmethod
     def of(cls, block: FullBlock) -> Self | None:
-        """Return shared residuals for a space without vectors, or None if the block is small or has many terms."""
+        """Return shared residuals for a space without vectors.
+
+        Return None if the block has fewer than `LARGE` degrees of freedom or more than 16 stiffness and mass
+        terms.
+        """
         n_terms = len(block.K_terms) + len(block.M_terms)
         if block.size < LARGE or n_terms > _MOST_TERMS:
             return None

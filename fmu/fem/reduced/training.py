@@ -105,9 +105,9 @@ class Training:
     def run(self) -> Trained:
         """Train until the errors at fresh points, including corners and faces, are small and full solves agree.
 
-        Training ends without success after the last round, or when it has cost as much as `BUDGET` full solves. It
-        also ends without success if the basis would be larger than `affordable`; it is then truncated to that
-        size.
+        Training ends without success (`confirmed` is False) after the last round, or when it has cost as much as
+        `BUDGET` full solves. It also ends without success if the basis would be larger than `affordable`; it is
+        then truncated to that size. Raise SingularAnchorError if `Anchors` does.
         """
         counts = self.rule.counts(self.full)
         with phase("training"):
@@ -292,7 +292,7 @@ class Training:
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
     def _cut(self) -> None:
-        """Truncate the spaces to small bases that meet the tolerance at all visited points."""
+        """Truncate the spaces to small bases that, size permitting, meet the tolerance at all visited points."""
         for b, needed in self.n_trained.items():
             self.reduced[b] = ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
             self.shared[b] = self.learners[b].share_with(self.reduced[b].basis)
@@ -365,10 +365,10 @@ class Training:
         return mass_orthonormal(block, cut.V @ order, centre)
 
     def _verify(self, round_: int) -> bool:
-        """Return True if full solves at fresh points agree; otherwise add their modes to the space.
+        """Return True if full solves at fresh points agree; add the modes at points where frequencies do not.
 
-        They agree if the frequencies are within the tolerance, and the pairing and the number of low modes are the
-        same.
+        Solves agree if the frequencies are within the tolerance, and the pairing and the number of low modes are
+        the same.
         """
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)

@@ -14,9 +14,10 @@ reused."""
 
 
 def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense the model") -> None:
-    """Raise MemoryError if the factors for `n_dof` rows do not fit in free memory; otherwise log their size.
+    """Raise MemoryError if the factors for `n_dof` rows do not fit in free memory.
 
-    `needed` is the size of the factors in bytes.
+    `needed` is the size of the factors in bytes; `advice` ends the error message. Nothing is checked if the free
+    memory is unknown. From `LARGE` rows on, the size is logged once.
     """
     free = free_memory()
     if free is not None and needed > free:

@@ -42,10 +42,10 @@ _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 
 
 def n_threads() -> int:
-    """Return the number of threads that PARDISO uses to factorise, at most 8.
+    """Return the number of threads that PARDISO uses to factorise, from 1 to 8.
 
     It is given by the environment variable ``MKL_NUM_THREADS`` or, if that is not set, by ``OMP_NUM_THREADS``.
-    fmu's engines and Dask set both to 1 in their workers. If neither is set, it is the number of processors that
+    fmu's engines and Dask set both to 1 in their workers. If no number is set, it is the number of processors that
     this process may use.
     """
     given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
@@ -58,7 +58,7 @@ class _LargeFactorsError(Exception):
 
 
 def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFactor:
-    """Factorise a symmetric matrix. Single precision is used if the factors would take much of the memory."""
+    """Factorise a symmetric matrix, in single precision if double would take over a sixth of all memory."""
     try:
         return Pardiso(matrix, is_definite)
     except _LargeFactorsError:
@@ -70,14 +70,17 @@ class Pardiso:
     """Cholesky factors of a matrix or, if it is indefinite, factors L D Lᵀ with a diagonal D.
 
     Factors that do not fit in free memory are stored in files, and PARDISO loads a part of them at a time. Factors
-    in files and factors in memory differ by rounding.
+    in files differ from factors in memory by rounding errors.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If the matrix is singular, or if factors in single precision are not definite as expected.
     MemoryError
-        If the factors fit neither in memory nor on disk.
+        If the factors do not fit in memory, and cannot be stored in files because the disk is too full or the part
+        that remains in memory is too large.
+    _LargeFactorsError
+        If factors in double precision would take more than a sixth of the machine's memory.
     OSError
         If the files cannot be written.
 

@@ -57,7 +57,10 @@ class SuperLU:
 
 
 def count_entries(matrix: sp.csc_array) -> int:
-    """Return how many entries L and U will have when SuperLU factorises a symmetric matrix."""
+    """Return how many entries L and U will have when SuperLU factorises a symmetric matrix.
+
+    The count is cached, because it depends on the sparsity pattern alone.
+    """
     pattern = digest(matrix.indptr.tobytes()) + digest(matrix.indices.tobytes())
     if pattern not in _counted:
         _counted[pattern] = _count(matrix)
