@@ -15,8 +15,8 @@ class Approximation(ModalModel):
     """A cheap model used in place of a true model that is too slow to solve often.
 
     There are two kinds. Gaussian processes (`fmu.fem.surrogate.surrogate_model.SurrogateModel`) predict
-    everywhere; a structure's reduced basis (`fmu.fem.reduced.reduced_structure.ReducedStructure`) is valid in
-    a parameter box. The object never changes during use, except that it counts the true model's solves.
+    everywhere; a structure's reduced basis (`fmu.fem.reduced.reduced_structure.ReducedStructure`) is valid in a
+    parameter box. The object never changes during use, except that a reduced basis counts the true model's solves.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Approximation(ModalModel):
     Attributes
     ----------
     full_solves : int
-        Number of times the true model was solved.
+        Number of times the true model was solved; always 0 for Gaussian processes.
     """
 
     def __init__(self, truth: ModalModel, cheap: ModalModel, certificate: Certificate | None = None) -> None:
@@ -58,7 +58,10 @@ class Approximation(ModalModel):
         return self.cheap.frequencies(theta)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies in Hz, shape (n, n_modes), and exact gradients, shape (n, n_modes, n_parameters)."""
+        """Return the cheap model's frequencies in Hz, shape (n, n_modes), and their exact gradients.
+
+        The gradients have shape (n, n_modes, n_parameters).
+        """
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:

@@ -11,14 +11,14 @@ function returns
 - a tuple of these arrays in the same order, with None for a missing array.
 
 ``shapes`` are mode shapes at the sensors of the measurement, in any scale. If the function returns shapes and
-shapes were measured, each measured mode is paired with a computed mode by MAC. Otherwise each measured mode is
-paired by its number (from 1) in the order returned. ``gradient`` is ∂f/∂θ in Hz per SI unit; without a gradient,
-central differences are used, which take 2 ndim more calls.
+shapes were measured, each measured mode is by default paired with a computed mode by MAC. Otherwise each measured
+mode is paired by its number (from 1) in the order returned. ``gradient`` is ∂f/∂θ in Hz per SI unit; without a
+gradient, central differences are used, which take 2 ndim more calls.
 
 For a batched function theta has the shape (n_points, ndim), and all results have a leading axis of n_points.
 
-If the function raises an exception, or returns numbers that are not finite, the point counts as failed and the run
-continues; `BlackBoxModel.reasons` gives the reasons.
+If the function raises an exception or returns an invalid result, such as NaN, the point counts as failed and the
+run continues; `BlackBoxModel.reasons` gives the reasons. At the starting point, a failure is an error.
 """
 
 from __future__ import annotations

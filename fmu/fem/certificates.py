@@ -79,12 +79,12 @@ class ReductionCertificate(Certificate):
         solve failed.
     frequency_tolerance, log_prob_tolerance : float
         See `fmu.posterior.reduction.tolerance.Tolerance`.
-    bound_draws : int
+    bound_draws : int or None
         Number of draws at which the frequency errors were bounded by their residuals.
-    bound, bound_median : float
+    bound, bound_median : float or None
         Largest bound on a relative frequency error at these draws, and the median over the draws of each draw's
         largest bound.
-    bound_exceeded : int
+    bound_exceeded : int or None
         Number of solved draws at which an error exceeds its bound.
     full_share : float or None
         Share of the draws that lie outside the trained box, where the true model is solved.
@@ -113,7 +113,7 @@ class ReductionCertificate(Certificate):
         return is_small and not self.pairing_changes and not self.bound_exceeded
 
     def sentences(self) -> list[str]:
-        """Return a list with a sentence on how far the errors exceed their tolerances, or [] if none do."""
+        """Return a list with a sentence on errors, pairing changes and exceeded bounds, or [] if `ok`."""
         if self.ok:
             return []
         pairs = (
@@ -156,7 +156,8 @@ class SurrogateCertificate(Certificate):
         Standard deviation of the log-probability error.
     shift, shift_tolerance : float
         Largest error, with 95 % confidence, in any posterior mean (in posterior standard deviations) or posterior
-        standard deviation (relative); and the largest value allowed.
+        standard deviation (relative); and the largest value allowed. `shift` is not finite if some of the draws
+        could not be solved.
     """
 
     solves: int

@@ -70,7 +70,8 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     Raises
     ------
     ValueError
-        If a master does not exist or is given twice, or the structure can still move with all masters fixed.
+        If the matrices are not square or not of the same size, there is no master, a master does not exist or is
+        given twice, or the structure can still move with all masters fixed.
     """
     K, M = _matrices(K, M)
     masters = _index("masters", masters, K.shape[0])
@@ -101,7 +102,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     Raises
     ------
     ValueError
-        As `guyan`; or if `n_modes` is negative.
+        As for `guyan`, or if `n_modes` is negative or a substructure's mass matrix is not positive semidefinite.
 
     Notes
     -----

@@ -74,8 +74,8 @@ class RefinedFactor:
     ----------
     matrix : sparse array, shape (n, n)
     make : callable
-        ``make(matrix, is_definite)`` returns single-precision factors, or raises LinAlgError if the matrix is not
-        definite as expected.
+        ``make(matrix, is_definite)`` returns single-precision factors, or raises LinAlgError if the matrix is
+        singular or not definite as expected.
     is_definite : bool
         Whether A is expected to be positive definite.
 
@@ -83,6 +83,8 @@ class RefinedFactor:
     ------
     StalledError
         If the factors are too inaccurate.
+    LinAlgError
+        If the matrix is singular.
     """
 
     L: FloatArray | None = None
@@ -138,7 +140,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
     Raises
     ------
     StalledError
-        If a column has not converged after 100 steps, or A is not positive definite.
+        If a column has not converged after 100 steps, or A or F is not positive definite.
     """
     x, r = np.zeros_like(loads), np.array(loads, dtype=float)
     z = _solve_scaled(solve, r)
@@ -188,7 +190,10 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
 
 
 def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
-    """Raise StalledError unless refinement converges. A and F then have equally many negative eigenvalues."""
+    """Raise StalledError unless a step of refinement removes at least half of the error.
+
+    A and F then have equally many negative eigenvalues.
+    """
     x = np.random.default_rng(0).standard_normal((A.shape[0], 1))
     kept = np.inf
     for _ in range(_POWER):

@@ -39,6 +39,11 @@ def stiffness_terms(length: ArrayLike) -> dict[str, FloatArray]:
     dict of str to ndarray, shape (n, 12, 12)
         ``"EA"``, ``"EIy"``, ``"EIz"``, ``"GJ"``. The sum of these matrices, each times the rigidity of that name,
         is the element stiffness.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive.
     """
     L = _lengths(length)
     bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / L[:, None, None]
@@ -63,6 +68,11 @@ def mass_terms(length: ArrayLike) -> dict[str, FloatArray]:
     dict of str to ndarray, shape (n, 12, 12)
         ``"rhoA"`` (translation), ``"rhoIy"`` and ``"rhoIz"`` (rotary inertia in the plane of bending with that
         second moment of area, and its share of the torsional inertia ρ(Iy + Iz)).
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive.
     """
     L = _lengths(length)
     bar = np.array([[2.0, 1.0], [1.0, 2.0]]) * L[:, None, None] / 6.0

@@ -55,6 +55,11 @@ class Section:
 
         The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b and the shorter side
         t (Timoshenko & Goodier 1970, §109, the series truncated after its leading terms).
+
+        Raises
+        ------
+        ValueError
+            If a dimension is not positive, or is 1e6 m or more.
         """
         b, t = max(width, height), min(width, height)
         J = b * t**3 / 3 * (1 - 0.63 * t / b + 0.052 * (t / b) ** 5)
@@ -188,6 +193,11 @@ class PointMass:
     name : str
         Name by which a parameter refers to the mass or its inertia. Defaults to the point's name in a problem
         file.
+
+    Raises
+    ------
+    ValueError
+        If the mass or an inertia is negative or not finite.
     """
 
     node: Place

@@ -39,11 +39,12 @@ class Sketch:
     kinds : tuple of str
         Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``.
     places : ndarray, shape (n_symbols, 3), m
+        NaN for sensors at unknown places, which are not plotted.
     ends : ndarray, shape (n_symbols, 3)
         Far end of an arm or a spring, m; direction of a sensor. NaN for supports, masses, springs to the ground
         and sensors of rotations.
     owners : ndarray of int, shape (n_symbols,)
-        Index of the parameter that sets a spring's stiffness; −1 if no parameter does.
+        Index of the first parameter that changes a spring's stiffness; −1 for all other symbols.
     """
 
     nodes: FloatArray
@@ -93,7 +94,10 @@ def is_drawable(model: SeparableModel, most: int) -> bool:
 
 
 def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
-    """Return the sketch of a `LinePicture`: its lines, and each sensor at the point with the same name."""
+    """Return the sketch of a `LinePicture`: its lines, and each sensor at the point with the same name.
+
+    Sensors at other places are left out.
+    """
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)

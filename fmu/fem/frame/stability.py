@@ -44,9 +44,9 @@ class FreeMotions:
         Basis of the strain-free motions, m and rad.
     rigid : ndarray, shape (6, r), or None
         Strain-free rigid-body motions of the whole structure: translation, m, and rotation, rad, about the centre
-        of the nodes. None if the model has no geometry.
+        of the nodes. None if they are unknown; see `rigid_motions`.
     negative : ndarray, shape (n_dof, n_negative)
-        Motions with negative strain energy, which no real structure has.
+        Motions with negative strain energy, which no real structure has. Of a large block, only one is given.
     """
 
     shapes: FloatArray
@@ -110,7 +110,7 @@ def require_stable(
     theta : array_like, shape (n_parameters,)
         Usually the starting point.
     free : bool
-        True if the structure is meant to be free. Its rigid-body motions are then allowed; if the geometry is not
+        True if the structure is meant to be free. Its rigid-body motions are then allowed; if these are not
         known, up to six strain-free motions are.
     label : callable
         Returns a node's name.
@@ -118,8 +118,10 @@ def require_stable(
     Raises
     ------
     ValueError
-        The message states how many strain-free motions there are and what moves in them, which motion has negative
-        energy, or where mass is missing. `MechanismError` for strain-free motions that move mass.
+        If a matrix is not finite or not positive semidefinite, the mass matrix is zero, or degrees of freedom have
+        neither stiffness nor mass. The message says what moves.
+    MechanismError
+        If there are strain-free motions that move mass and are not allowed. The message states how many.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)
@@ -145,7 +147,10 @@ def require_stable(
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:
-    """Raise ValueError if a mass is negative or all masses are zero. Some degrees of freedom may be massless."""
+    """Raise ValueError if M is not finite, is all zero, or is negative for some motion.
+
+    Some degrees of freedom may be massless.
+    """
     M = sp.csr_array(model.M(theta))
     if not np.all(np.isfinite(M.data)):
         raise ValueError("the mass matrix must be finite")
@@ -182,8 +187,8 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     Returns
     -------
     ndarray, shape (6, r), or None
-        Translation, m, and rotation, rad, about the centre of the nodes, one motion per column; None if the model
-        has no geometry.
+        Translation, m, and rotation, rad, about the centre of the nodes, one motion per column. None if the model
+        has no geometry, the geometry lacks a node, or degrees of freedom are not along global axes.
     """
     named = _rigid_rows(model)
     if named is None:
@@ -260,7 +265,8 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and in the fixed directions (n_fixed, 6).
 
     Rotations are about the centre and scaled by the structure's length. Directions in which no node can move are
-    ignored. Return None if the model has no geometry, or if one of its unknowns is a weighted sum of motions.
+    ignored. Return None if the model has no geometry, the geometry lacks a node, or motions are weighted sums of
+    the degrees of freedom.
     """
     if model.geometry is None:
         return None

@@ -94,8 +94,9 @@ def ownership(
     Raises
     ------
     ValueError
-        If names are not distinct, a target does not exist or is updated twice, or a factor multiplies a value of
-        zero.
+        If names are not distinct, a target does not exist or is updated twice, a factor multiplies a value of
+        zero, or a parameter that is no factor targets stiffnesses or inertias of which some are translational and
+        some rotational.
     """
     things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):

@@ -131,7 +131,7 @@ class CommandModel(BlackBoxModel):
         )
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True if the reader can give the shape at a sensor (place, direction), or if there is no reader."""
+        """Return True if the reader gives shapes at a sensor (place, direction), or if there is no reader."""
         if self.reader is None:
             return True
         form = READERS[self.reader]
