@@ -34,7 +34,7 @@ class Ascent:
     stationary : ndarray of bool, shape (n,)
         Whether each final point is stationary.
     steps : int
-        Number of steps performed.
+        Number of completed steps; one less if the largest number of steps was used up.
     """
 
     position: FloatArray
@@ -59,7 +59,7 @@ class GaussNewton:
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return V (n,), its gradient (n, ndim) and its Gauss–Newton Hessian (n, ndim, ndim) at u (n, ndim).
 
-        V is infinite where the model fails.
+        Where V or its gradient is not finite, V is infinite, the gradient is 0, and the Hessian is the identity.
         """
         p, scaled = self.problem, self._scaled
         theta = scaled.to_theta(u)
@@ -97,7 +97,7 @@ def ascend(
     quadratic : callable
         Returns V, its gradient and its Hessian.
     start : ndarray, shape (n, ndim)
-        Starting points within the box. Points with infinite V are returned unchanged.
+        Starting points within the box. Points with infinite V are returned unchanged, and not as stationary.
     lower, upper : ndarray, shape (ndim,)
         Limits of the box.
     tolerance : float

@@ -185,7 +185,7 @@ def _errors(
 
 
 def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
-    """Return known standard deviations as text: in per cent for relative errors, in Hz for absolute errors."""
+    """Return known sds as text, in per cent for relative and in Hz for absolute frequency errors."""
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
@@ -221,9 +221,10 @@ def _by_mode(
 def frequency_sd(
     likelihood: Mapping[str, Any], parameters: Any, measured: FloatArray, inferred: Inferred | None
 ) -> FloatArray | None:
-    """Return each mode's frequency error sd, (n_modes,), in Hz, or None if it is unknown.
+    """Return each mode's error sd in Hz, (n_modes,), under the first frequency error model; None if there is none.
 
-    If the sd is inferred, it is represented by its posterior mean or, before a run, by its starting value.
+    If the sd is inferred, it is represented by its posterior mean or, before a run, by its starting value. For
+    Student's t distribution, it is the scale.
     """
     named = list(likelihood.get("noise", ()))
     start = {p["name"]: float(p["start"]) for p in parameters}
@@ -279,7 +280,7 @@ def _pairing(problem: Mapping[str, Any]) -> str:
 
 
 def _range(values: FloatArray) -> str:
-    """Return the range of values as text, or a single number if all values are equal."""
+    """Return the range of values as text: one number if all are equal, `MISSING` if one is not positive."""
     values = np.asarray(values, dtype=float)
     low, high = float(values.min()), float(values.max())
     if high - low <= 1e-9 * high:

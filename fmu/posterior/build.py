@@ -73,7 +73,7 @@ def paired_model(
     Raises
     ------
     ValueError
-        If the model does not fit the parameters or the data.
+        If the model does not fit the parameters, the data or the pairing.
     """
     structure, function = separable_in(model), model if isinstance(model, BlackBoxModel) else None
     if structure is None and function is None and not callable(getattr(model, "frequencies", None)):
@@ -155,7 +155,8 @@ def likelihood_of(
     Raises
     ------
     ValueError
-        If the error model is unknown or does not fit the data or the model, or `beta` does not apply.
+        If an error model or discrepancy is unknown or does not fit the data or the model, no mode is used although
+        modes are the data, or `beta` does not apply.
 
     Notes
     -----
@@ -221,7 +222,10 @@ def _likelihood_of_frfs(
     discrepancy: Discrepancy | Sequence[Discrepancy],
     layout: Layout,
 ) -> Likelihood:
-    """Return the joint likelihood of frequency response functions and of any modes for which errors are given."""
+    """Return the joint likelihood of frequency response functions and of any modes for which errors are given.
+
+    Raise ValueError if the model, the tests or a discrepancy do not allow frequency response functions.
+    """
     errors = Errors.of(given)
     of_frfs = list(errors.of_frfs.values())
     if len(layout.tests) == 1:

@@ -16,7 +16,7 @@ _MOST_DRAWN = 5000
 
 
 def problem_card(problem: Posterior) -> str:
-    """Return a problem's HTML card: a drawing of the structure, its parameters, and measured and initial modes."""
+    """Return a problem's HTML card: any drawing of the structure, parameters, and measured and initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
     structure = problem.model.parts[0].structure

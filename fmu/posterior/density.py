@@ -70,7 +70,10 @@ class Posterior:
         return other
 
     def log_prob(self, theta: ArrayLike) -> Any:
-        """Return log P(θ|D) up to the log-evidence; a float for theta (ndim,), or shape (n,)."""
+        """Return log P(θ|D) up to the log-evidence; a float for theta (ndim,), or shape (n,).
+
+        It is ``-inf`` outside the bounds and where the log-likelihood is not finite.
+        """
         points, single = self._points(theta)
         within = self._within(points)
         if np.count_nonzero(within) == within.size > 0:  # the usual case, without copies
@@ -98,7 +101,7 @@ class Posterior:
     def log_likelihood(self, theta: ArrayLike) -> Any:
         """Return log P(D|θ): eq. (4), normalised by eq. (5). It is defined outside the bounds too.
 
-        The result has the shape of `log_prob`.
+        The result has the shape of `log_prob`. It is ``-inf`` where a datum's log-likelihood is not finite.
         """
         points, single = self._points(theta)
         value = self._terms(points).sum(axis=1)
@@ -107,7 +110,8 @@ class Posterior:
     def log_likelihood_terms(self, theta: ArrayLike) -> FloatArray:
         """Return the log-likelihood of each datum, shape (n_terms,) or (n, n_terms).
 
-        The modes used in updating come first, then masses and displacements.
+        The modes used in updating come first, then masses and displacements, then the FRFs of each test. All terms
+        of a theta are ``-inf`` if one of them is not finite.
         """
         points, single = self._points(theta)
         terms = self._terms(points)
@@ -137,8 +141,10 @@ class Posterior:
         Returns
         -------
         terms : ndarray, shape (n, n_used)
+            All −∞ at a theta where one is not finite.
         squares : ndarray, shape (n, n_kinds, n_used)
-            Σ r² over the residuals r of a mode, for each error model in ``likelihood.chi_square``.
+            Σ r² over the residuals r of a mode, converted to normal scores, for each error model in
+            ``likelihood.chi_square``.
         """
         terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta), frequencies)
         return self._record_failures(terms, theta), squares
@@ -154,9 +160,9 @@ class Posterior:
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The likelihood must be a function of computed modes. The information on the structural parameters is JᵀJ,
-        where J is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds is
-        Fisher's.
+        The likelihood must have residuals (`Likelihood.of_modes`). The information on the structural parameters is
+        JᵀJ, where J is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds
+        is Fisher's.
         """
         return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
 
@@ -279,7 +285,7 @@ class Posterior:
 
     @property
     def solves_per_gradient(self) -> int:
-        """Cost of `log_prob_and_grad` at one theta, in model solves. It is 1 if derivatives are exact."""
+        """Cost of `log_prob_and_grad` at one theta, in model solves. It is 1 if all derivatives are exact."""
         of_model, often = self.model, self.likelihood.predictions_per_gradient
         shapes = self.likelihood.needs_shapes
         return often * (of_model.solves_per_shape_gradient if shapes else of_model.solves_per_gradient)
@@ -356,7 +362,7 @@ class Posterior:
 
     @property
     def support(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest theta with a positive density, (ndim,) each: the bounds or the next floats inside."""
+        """Lowest and highest theta with a positive density, (ndim,) each: the bounds or values just inside."""
         return self._lowest[0], self._highest[0]
 
     def _within(self, points: FloatArray) -> BoolArray:

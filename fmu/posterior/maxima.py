@@ -50,15 +50,18 @@ def local_maxima(
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. If the likelihood
-    consists of mode errors, all points ascend together by Gauss–Newton steps (`ascend`). If several ascents come
-    close together just below a maximum, only the highest continues. Of the ascents that stall at a kink, the best
-    eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For any other likelihood, every point ascends
-    by L-BFGS-B. Two results are the same maximum if no valley separates them. This means that on the straight line
-    between them, the log-probability is nowhere more than 0.1 below the lower value.
+    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. If the modes or
+    frequency response functions (FRFs) are the data, all points ascend together by Gauss–Newton steps (`ascend`).
+    If several ascents come close together just below a maximum, only the highest continues. Of the ascents that
+    stall at a kink, the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For the modal
+    residual, every point ascends by L-BFGS-B. Two results are the same maximum if no valley separates them. This
+    means that on the straight line between them, the log-probability is nowhere more than 0.1 below the lower
+    value.
 
-    If the model has a discrepancy, all points first ascend without it, and the highest eight end points then
-    ascend with it. In addition, 64 of the points ascend with it from the first step (`_starts_with_discrepancy`).
+    FRFs have many maxima, so the points first ascend on easier likelihoods (`FRFLikelihood.easier`). If the model
+    has a discrepancy and `most_solves` is infinite, all points first ascend without it, and the highest eight end
+    points then ascend with it. In addition, 64 of the points ascend with it from the first step
+    (`_starts_with_discrepancy`).
 
     Parameters
     ----------
@@ -69,16 +72,22 @@ def local_maxima(
         twelve reaches the maximum with nearly all of the probability.
     seed : int
     near : ndarray, shape (n, ndim), optional
-        Further starting points, in SI units.
+        Further starting points, in SI units; points outside the bounds are moved to them.
     most_solves : float
         Largest number of solves. If it is finite, the ascents run one after the other, and none begins once the
-        limit is reached. For a likelihood without mode errors, the search also ends after sixteen ascents that
+        limit is reached. For the modal residual, the search also ends after sixteen ascents that
         have found more than eight distinct maxima.
+
+    Returns
+    -------
+    tuple of Maximum
+        For the modal residual, empty if no ascent reaches a finite log-probability.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive, or no starting point has a log-probability with a finite gradient.
+        If `starts` is not positive or, except for the modal residual, no starting point has a log-probability with
+        a finite gradient.
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
@@ -100,7 +109,10 @@ def local_maxima(
 
 
 def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
-    """Return the highest points that ascents from scaled points (n, ndim) reach, shape (m, ndim)."""
+    """Return the highest points, at most eight, that ascents from scaled points (n, ndim) reach, (m, ndim).
+
+    Return `points` themselves if the log-probability is not finite at any of them.
+    """
     scaled = ascent_coordinates(problem)
     ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH)
     found = leaders(ends)[0]
@@ -110,12 +122,13 @@ def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
 def _starts_with_discrepancy(
     problem: Posterior, scaled: ScaledDensity, at_once: FloatArray, ends: FloatArray, n_sizes: int
 ) -> FloatArray:
-    """Return the highest scaled points (m, ndim) reached by a few ascent steps with the model discrepancy.
+    """Return scaled points (m, ndim) that a few ascent steps with the model discrepancy reach.
 
     Near mode crossings the discrepancy's variances change too fast for Gauss–Newton steps, and most ascents do not
     converge. After `_MOST_STEPS`, an ascent is abandoned if it is `_HOPELESS` nats below the highest one that has
-    converged. If none of `ends` leads to a maximum, they are retried with a tenth of the discrepancy, because the
-    maxima with a small discrepancy are close to those without it.
+    converged. If none of `ends` leads to a maximum, they are retried with a tenth and then a hundredth of the
+    discrepancy, because the maxima with a small discrepancy are close to those without it. If nothing is left,
+    `ends` are returned.
 
     Parameters
     ----------
@@ -124,7 +137,7 @@ def _starts_with_discrepancy(
     ends : ndarray, shape (l, ndim)
         Scaled end points of ascents without it.
     n_sizes : int
-        Number of inferred discrepancy sds, which are the last parameters.
+        Number of inferred discrepancy sds, which are the last parameters; if it is 0, nothing is retried.
     """
     quadratic, is_size = GaussNewton(problem, scaled), np.arange(problem.ndim) >= problem.ndim - n_sizes
     theta, reached = scaled.to_theta(ends), list[Ascent]()
@@ -145,7 +158,10 @@ def _starts_with_discrepancy(
 def maxima_from(
     problem: Posterior, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
-    """Return the maxima reached from scaled points (n, ndim), sorted from the highest; see `local_maxima`."""
+    """Return the maxima reached from scaled points (n, ndim), sorted from the highest.
+
+    For `most_solves` and the error raised see `local_maxima`.
+    """
     before = solves()
     if not problem.likelihood.of_modes:
         tops = list[Maximum]()
@@ -206,7 +222,10 @@ def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, see
 
 
 def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
-    """Return the highest point, (n, ndim), and the size, (n,), of each group of close end points."""
+    """Return the highest point, (n, ndim), and the size, (n,), of each group of close end points.
+
+    Points with infinite V are left out.
+    """
     chosen, starts = list[int](), list[int]()
     left = np.argsort(ends.value)
     left = left[np.isfinite(ends.value[left])]

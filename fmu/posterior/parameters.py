@@ -116,7 +116,10 @@ def value_or_name(given: Any) -> Plain:
 
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
-    """Return a prior's name and arguments as text, in the customary unit, such as ``"normal, sd 200"``."""
+    """Return a prior's name and arguments as text, in the customary unit, such as ``"normal, sd 200"``.
+
+    Arguments of a distribution from ``scipy.stats`` stay in the SI unit.
+    """
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
     parts = [
         f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
@@ -153,7 +156,7 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
     Raises
     ------
     ValueError
-        If a named group has no parameter.
+        If a named group has no parameter, or an α is not positive and finite.
     """
     unused = set(alpha) - {p.group for p in parameters}
     if unused:

@@ -78,6 +78,8 @@ def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
 def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return sentences about priors centred outside their bounds. They state the probability within the bounds.
 
+    Priors that `prior_of` does not know, such as distributions from ``scipy.stats``, are skipped.
+
     Parameters
     ----------
     configuration : iterable of dict

@@ -287,7 +287,7 @@ class UpdatingProblem(Posterior):
         frequencies : ndarray, shape (n, n_modes), Hz
             Computed frequencies.
         theta : ndarray, shape (n, ndim), optional
-            Supplies the inferred error sds, if there are any.
+            Supplies the inferred error sds. Needed if there are any, or if the model has a discrepancy.
         same_structure : bool
             True to draw the model discrepancy of the measured structure, given the data; False to draw it for a
             similar structure.
@@ -295,7 +295,8 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            If the error models define no frequency distribution (shapes alone, the modal residual).
+            If the error models define no frequency distribution (shapes alone, the modal residual), or `theta` is
+            needed and not given.
         """
         frequencies = self._with_discrepancy(rng, frequencies, theta, same_structure)
         return self.likelihood.simulate(rng, frequencies, self._noise(theta))
@@ -312,7 +313,7 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            If the data are not the mean of several tests.
+            If the data are not the mean of several tests, or `theta` is needed and not given.
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")

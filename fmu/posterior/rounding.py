@@ -96,8 +96,8 @@ def rounding(problem: Posterior) -> Rounding | None:
     Raises
     ------
     ValueError
-        If the solve at the starting point fails, or a soft part next to a stiff part loses its stiffness in
-        rounding.
+        If the solve at the starting point fails, a soft part next to a stiff part loses its stiffness in rounding,
+        or K is negative for some motion.
     """
     model, likelihood = structure_of(problem.model), problem.likelihood
     if model is None or not likelihood.of_modes:
@@ -131,7 +131,7 @@ def rounding(problem: Posterior) -> Rounding | None:
 
 
 def bounded_rounding(problem: Posterior) -> Rounding | None:
-    """Return the result of `rounding`; raise ValueError if a rounding error exceeds the measurement error."""
+    """Return the result of `rounding`; also raise ValueError if a rounding error exceeds the measurement error."""
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())

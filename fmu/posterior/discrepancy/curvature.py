@@ -63,7 +63,8 @@ def by_parameters(
 ) -> FloatArray:
     """Return the derivatives of m functions with respect to the parameters of their own tests, shape (n, m, p).
 
-    They are central differences. Each parameter is perturbed in all tests at once, which takes 2 p function calls.
+    They are central differences. Each parameter is perturbed in all tests at once, which takes 2 p points for each
+    of the n. Near a limit, both points are shifted to lie within it.
 
     Parameters
     ----------

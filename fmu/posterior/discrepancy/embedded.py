@@ -34,7 +34,7 @@ _START, _MOST_CORRELATED = 0.3, 0.999
 
 
 class Setting(NamedTuple):
-    """A setting: a known number or, if it is inferred, its index among the inferred error sds."""
+    """A setting: a known number or, if `number` is not negative, an inferred error sd with that index."""
 
     fixed: float
     number: int = -1
@@ -147,12 +147,13 @@ class Discrepancy:
         ----------
         parameters : sequence of Parameter
         index : callable
-            Takes an inferred τ as a Parameter and returns its index among the inferred error sds.
+            Takes an inferred τ or correlation as a Parameter and returns its index among the inferred error sds.
 
         Raises
         ------
         ValueError
-            If there is no parameter or group of a given name.
+            If there is no parameter or group of a given name, or an inferred number has the name of another
+            parameter.
         """
         own = [p.group or p.name for p in parameters]
         known = dict.fromkeys([*own, *(p.name for p in parameters)])
@@ -183,7 +184,7 @@ class Discrepancy:
 
 
 def require_distinct_names(discrepancies: Sequence[Discrepancy]) -> None:
-    """Raise ValueError if two discrepancies have inferred numbers with the same name."""
+    """Raise ValueError if two discrepancies with an inferred number, or of kind "modes", have the same name."""
     names = [one.label for one in discrepancies if one.tau is None or one.correlation == "inferred"]
     if len(set(names)) < len(names):
         raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])

@@ -67,6 +67,7 @@ class ScatteredFrequencies:
         """Return `terms` and their derivatives with respect to parameters and noise, (n, n_modes, p + n_noise).
 
         With the second derivatives H_i of f_i and d_i = s² τ² ∂f_i/∂θ, ∂v_i/∂θ = 2 H_i d_i + (∂f_i/∂θ)² τ² ∂s²/∂θ.
+        Derivatives that are not finite are replaced by NaN.
         """
         f, J = exact.frequencies, exact.gradient
         with np.errstate(all="ignore"):

@@ -29,7 +29,10 @@ _STEP = 1e-4
 
 
 def with_errors_as_parameters[Problem: Posterior](problem: Problem) -> Problem:
-    """Return the problem with its model's latent errors as parameters, or the same problem if it has none."""
+    """Return the problem with its model's latent errors as parameters.
+
+    Return the same problem if its likelihood is not a `DiscrepantLikelihood`.
+    """
     likelihood = problem.likelihood
     if not isinstance(likelihood, DiscrepantLikelihood):
         return problem

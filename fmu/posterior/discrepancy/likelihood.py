@@ -32,12 +32,12 @@ _COMPLEX_STEP = 1e-30  # relative; a complex step subtracts nothing, so it may b
 
 
 class DiscrepantLikelihood(ModalLikelihood):
-    """A `ModalLikelihood` with model discrepancy: mode g has its own parameters θ + s τ z_g.
+    """A `ModalLikelihood` with model discrepancy: parameters that scatter over the modes, or errors of the modes.
 
-    To first order in τ, mode g's residuals (its frequency and shape in all tests) are then Gaussian. In
-    measurement standard deviations, their covariance is I + J T² Jᵀ with T = diag(s τ). The same z_g applies in
-    all tests, because model error does not average out over tests. A mode's term in a later test is conditional on
-    the earlier tests; the terms sum to the joint log-density, including its determinant.
+    Parameters that scatter are θ + s τ z_g in mode g. To first order in τ, the mode's residuals (of frequency and
+    shape in all tests) are Gaussian. In measurement sds, their covariance is I + J T² Jᵀ with T = diag(s τ). The
+    same z_g applies in all tests, because model error does not average out over tests. A mode's term in a later
+    test is conditional on the earlier tests; the terms sum to the joint log-density.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     Raises
     ------
     ValueError
-        As for `ModalLikelihood`, if mode errors are correlated or not Gaussian, or a discrepancy does not fit.
+        As for `ModalLikelihood`; also if mode errors are correlated or not Gaussian, or a discrepancy is invalid.
     """
 
     has_discrepancy = True
@@ -98,7 +98,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the log-likelihood depends only on the frequencies. It is False if parameters scatter."""
+        """Whether the modes' log-likelihood needs only the computed frequencies; False if parameters scatter."""
         return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -177,7 +177,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's standardised, squared residuals given earlier tests, (n, n_kinds, n_used)."""
+        """Return each used mode's sum of squared residuals, (n, n_kinds, n_used), whitened given earlier rows."""
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -243,7 +243,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with a random discrepancy added; theta must not be None."""
+        """Return frequencies (n, n_modes), Hz, with a random discrepancy added; ValueError if theta is None."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -300,7 +300,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
-        """Return `observed`, and its second derivatives along directions, or None if the model has none."""
+        """Return `observed` with slopes, and the `Sensitivities` with second derivatives (None without them)."""
         if not self.model.gives_curvature(self.needs_shapes):
             return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)

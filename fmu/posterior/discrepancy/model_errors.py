@@ -29,7 +29,7 @@ class Linearised(NamedTuple):
     residuals : ndarray, shape (n, m, k)
         All residuals of the mode, one error model after the other.
     slopes : ndarray, shape (n, m, k, p)
-        Derivatives with respect to the parameters in the test; p = 0 if no parameter scatters.
+        Derivatives with respect to the parameters in the test; p = 0 if the prediction has no derivatives.
     own, common : ndarray, shapes (n, m, k, Q) and (n, m, k, C)
         Derivatives with respect to the mode's own errors, and to the errors that all modes share.
     """
@@ -124,7 +124,8 @@ class ModelErrors:
     ) -> FloatArray:
         """Differentiate a function of the modes' `units` with respect to the parameters; shape (n, m, p).
 
-        `by_own` is the function's derivative with respect to the units; see `ModeErrors.change_of_units`.
+        `by_own` is the function's derivative with respect to the units; see `ModeErrors.change_of_units`. Without
+        `modes` the result is 0.
         """
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
@@ -150,7 +151,8 @@ class ModelErrors:
     def log_variance_slopes(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of log `variances` with respect to the inferred error sds.
 
-        Their shapes are (n, n_noise, E + Q) and (n, n_noise, F + C). They are 0 where a variance is 0.
+        Their shapes are (n, n_noise, E + Q) and (n, n_noise, F + C). For parameters that scatter, they are 0 where
+        a variance is 0.
         """
         values = (np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True))
         slopes = (
@@ -166,7 +168,7 @@ class ModelErrors:
     def in_hz(
         self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return each frequency's derivatives, in Hz, with respect to its mode's own errors and common errors.
+        """Return each frequency's derivatives, in Hz, with respect to the standard normal latent errors.
 
         Parameters
         ----------
@@ -174,11 +176,13 @@ class ModelErrors:
             Derivatives of the frequencies.
         measured : ndarray, shape (m,), Hz
         values : ndarray, shape (n, m, p)
+            The parameters in each mode's test.
         noise : ndarray, shape (n, n_noise)
 
         Returns
         -------
         own, common : ndarray, shapes (n, m, P) and (n, m, C)
+            With respect to the mode's own errors, and to the errors that all modes share.
         """
         variances, parts = self.variances(noise), (list[FloatArray](), list[FloatArray]())
         if slopes is not None and len(self.scattered):

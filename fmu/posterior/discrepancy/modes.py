@@ -33,11 +33,11 @@ class ModeErrors:
     Attributes
     ----------
     sd, correlation : Setting or None
-        σ and ρ; None without frequency errors.
+        σ and ρ; None if frequencies have no measurement errors.
     shape_sd : Setting or None
-        σ_s; None without shape errors.
+        σ_s; None if shapes have no measurement errors.
     root : ndarray, shape (n_sensors, n_sensors)
-        L.
+        L; the identity without a correlation length.
     """
 
     sd: Setting | None
@@ -54,7 +54,7 @@ class ModeErrors:
         sensors: Sequence[Dof],
         structure: SeparableModel | None,
     ) -> ModeErrors:
-        """Bind the settings to error terms and sensors; arguments and errors are as in `Discrepancy.bind`."""
+        """Bind the settings to error terms and sensors. For `index` and errors raised see `Discrepancy.bind`."""
         prior, most = HalfNormal(settings.prior_sd), MOST * settings.prior_sd
 
         def size(name: str, known: float | None) -> Setting:
@@ -87,7 +87,10 @@ class ModeErrors:
     def units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals caused by unit errors, (n, n_modes, k, n_own) and (n, n_modes, k, n_common)."""
+        """Return the residuals caused by unit errors, (n, n_modes, k, n_own) and (n, n_modes, k, n_common).
+
+        They are 0 for residuals of other quantities than frequencies and shapes.
+        """
         own, common = [], []
         for term in terms:
             V = term.spread.variance(noise)
@@ -188,7 +191,7 @@ class ModeErrors:
 def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
     """Return the distances between sensors in m, shape (n_sensors, n_sensors).
 
-    A distance is infinite if the two directions differ, or if the model has no coordinates.
+    A distance is infinite if the two directions differ, or one of the places has no coordinates in the model.
     """
     q = len(sensors)
     found = np.where(np.eye(q) > 0.0, 0.0, np.inf)

@@ -1,4 +1,7 @@
-"""Structural damping models: modal ratios, Rayleigh damping, loss factors and dashpots. All may be inferred."""
+"""Structural damping models: modal ratios, Rayleigh damping, loss factors, dashpots, damping matrices.
+
+Each of their values is known or inferred.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,7 @@ class DampingMatrix:
     Raises
     ------
     ValueError
-        If the matrix is not real, symmetric and finite.
+        If the matrix is not real, square, symmetric and finite.
     """
 
     matrix: Any
@@ -154,8 +157,9 @@ def bind_damping(
     Raises
     ------
     ValueError
-        If there is no damping, a parameter can be negative, a name is unknown, an end of a dashpot does not move,
-        a matrix does not fit, or modal ratios are combined with damping that couples the modes.
+        If there is no damping, a parameter can be negative, a named parameter is unknown or does not change the
+        stiffness, an end of a dashpot does not move, a matrix does not fit, two damping models are of one kind
+        (dashpots and matrices may be), or modal ratios are combined with damping that couples the modes.
     """
     models: list[DampingModel] = as_list(given)
     inferred = inferred_in(models)
@@ -211,7 +215,7 @@ def bind_damping(
 
 
 def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
-    """Return a damping model as a dict of plain Python types. A parameter is represented by its name."""
+    """Return a damping model as a dict of plain Python types: parameters by name, a matrix as a hash."""
     found: dict[str, Plain] = {"damping": type(given).__name__}
     for key, value in vars(given).items():
         if key == "matrix":

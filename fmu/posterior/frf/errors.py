@@ -41,8 +41,9 @@ class FRFErrors(QuantityErrors):
     degrees of freedom (`FRFData.freedom`). But if many lines determine a parameter together, the curvature of this
     log-density exceeds the variance of its slope. Intervals would be too narrow, by 11 % for five hits. The
     density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom and the
-    variance V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
-    1208–1211), and its slope is proportional to the slope of Student's t with ν.
+    squared scale V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
+    1208–1211), and its slope is proportional to the slope of Student's t with ν. From ν = 500 on, it is replaced
+    by the Gaussian.
 
     Attributes
     ----------
@@ -55,8 +56,9 @@ class FRFErrors(QuantityErrors):
     model_sd : float or Parameter
         σ, the model error relative to |H|, known or inferred; 0 by default.
     gain_sd : float, or mapping of (place, direction) to float
-        Standard deviation of the relative gain error γ_j in each response channel, or in the named channels. If
-        the errors are Gaussian, the gain errors are integrated out exactly.
+        Standard deviation of the relative gain error γ_j in each response channel, or in the named channels. The
+        gain errors are integrated out exactly if the data's `sd` was given; with ``"log"`` the factor is then
+        exp(γ_j). If it was estimated from hits or a coherence, they are inferred.
     delay_sd : float, or mapping of (place, direction) to float, s
         Standard deviation of the delay τ_j in each response channel, or in the named channels. Delays are
         inferred.
@@ -70,8 +72,8 @@ class FRFErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If the FRFs have no standard deviations and `model_sd` is 0, a named channel has no FRF, or the standard
-        deviations were estimated from fewer than three hits.
+        If a named channel has no FRF, the standard deviations were estimated from fewer than three hits or
+        averages, or an inferred `model_sd` has a negative lower bound.
     """
 
     data: FRFData
@@ -105,6 +107,8 @@ class FRFErrors(QuantityErrors):
     ) -> FRFTerm:
         """Bind the errors to a structure. This trains a reduced model of the structure's FRFs.
 
+        Give a `ReductionWarning` if the reduced model does not meet its tolerance.
+
         Parameters
         ----------
         model : SeparableModel
@@ -117,7 +121,8 @@ class FRFErrors(QuantityErrors):
         ------
         ValueError
             If a drive or a response has no free degree of freedom, the damping does not fit the model (see
-            `bind_damping`), or a discrepancy cannot be combined with these errors.
+            `bind_damping`), a used value has neither a standard deviation nor a model error, or a discrepancy
+            cannot be combined with these errors.
         """
         data = self.data
         if discrepancy is not None:
@@ -180,7 +185,11 @@ class FRFErrors(QuantityErrors):
         return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
 
     def _check_discrepancy(self, discrepancy: Discrepancy) -> None:
-        """Raise ArgumentError unless the errors are Gaussian errors in H and no channel has an error."""
+        """Raise ArgumentError if the discrepancy and the errors cannot be combined.
+
+        The discrepancy must be of kind "modes", with known `sd` and `correlation` and without `length`. The errors
+        must be Gaussian errors in H, without model or channel errors.
+        """
         rule = 'of frequency response functions must be of kind "modes": errors of frequencies and residues'
         if discrepancy.kind != "modes" or discrepancy.length is not None:
             raise ArgumentError("discrepancy", rule, discrepancy.kind if discrepancy.length is None else "length")
@@ -221,7 +230,10 @@ class FRFErrors(QuantityErrors):
 
 
 def _by_channel(key: str, given: float | Mapping[Any, float], data: FRFData) -> dict[Any, float]:
-    """Return the standard deviation of each named response channel, or of all channels, keyed by channel."""
+    """Return the positive standard deviations of all or of the named response channels, keyed by channel.
+
+    Raise ValueError if a named channel has no FRF.
+    """
     channels = list(dict.fromkeys(data.responses))
     if not isinstance(given, Mapping):
         return dict.fromkeys(channels, float(given)) if given else {}

@@ -59,7 +59,7 @@ class FRFsOfTest(NamedTuple):
         return theta.take(self.columns, axis=1)
 
     def by_structural(self, n: int, n_structural: int, chain: Chain | None) -> FloatArray:
-        """Return the derivatives, (n, s, N), of the first s parameters of `term` with respect to N others.
+        """Return the derivatives, (n, s, N), of the first s parameters of `term` with respect to N parameters.
 
         With a `chain`, these are the N problem parameters. Without it, they are the `n_structural` structural
         parameters in the test.
@@ -171,9 +171,10 @@ class FRFLikelihood(Likelihood):
     def easier(self) -> list[Likelihood]:
         """Return likelihoods with the same parameters but fewer maxima. The easiest comes first.
 
-        The first is the likelihood of all modes, without the FRFs. In the others the FRFs have an additional
-        relative error, which decreases from one likelihood to the next. If narrow measured and computed resonances
-        do not overlap, the gradient does not lead one to the other; with large errors they overlap.
+        The first is the likelihood of all modes, without the FRFs' values. In the others the FRFs have an
+        additional relative error, which decreases from one likelihood to the next but stays above half of the
+        data's noise. If narrow measured and computed resonances do not overlap, the gradient does not lead one to
+        the other; with large errors they overlap.
         """
         noise = min(term.relative_noise for term in self.responses)
         wider = [relative for relative in _WIDER if relative > _WORTHWHILE * noise]
@@ -188,7 +189,7 @@ class FRFLikelihood(Likelihood):
         return theta[:, : self._n_modal]
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode and each test's FRFs, (n, n_terms)."""
+        """Return the log-likelihood of each used mode, each quantity and each test's FRFs, (n, n_terms)."""
         return self._with_responses(self._modal_terms(theta), theta)
 
     def _modal_terms(self, theta: FloatArray) -> FloatArray:
@@ -201,7 +202,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([terms, *found], axis=1)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood of each used mode and each test's FRFs, (n, n_terms), and its gradient."""
+        """Return the `terms`, (n, n_terms), and their gradients, (n, n_terms, n_structural + n_inferred)."""
         values, slopes = [], []
         N = self.n_structural + len(self.noise)
         if not self._has_no_terms_of_modes:
@@ -227,14 +228,14 @@ class FRFLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood terms and the squared residuals for the modes; see `Likelihood`."""
+        """Return the log-likelihood terms and the squared residuals of any used modes; see `Likelihood`."""
         if self.is_of_frfs_alone:
             return np.zeros((len(theta), 0)), np.zeros((len(theta), 0, 0))
         return self.modal.terms_and_misfit(self._of_modes(theta), frequencies)
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the modes' log-likelihood depends on the computed frequencies alone."""
+        """Whether the modes' log-likelihood needs only the computed frequencies; True if no mode is used."""
         return self.is_of_frfs_alone or self.modal.by_frequencies
 
     def quadratic(
@@ -265,7 +266,7 @@ class FRFLikelihood(Likelihood):
 
         A test's FRFs are represented by as many residuals as there are structural parameters. Let J be the square
         root of the information on these parameters when the test's other parameters have their best values. The
-        residuals are −J⁻ᵀ times the gradient.
+        residuals are −J⁻ᵀ times the gradient, and 0 in directions without information.
         """
         values, slopes = [], []
         if not self._has_no_terms_of_modes:
@@ -298,7 +299,7 @@ class FRFLikelihood(Likelihood):
         return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations."""
+        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement sds; 0 if no mode is used."""
         if self.is_of_frfs_alone:
             return np.zeros(len(frequencies))
         return self.modal.in_standard_deviations(frequencies, error, theta[: self._n_modal])
@@ -312,7 +313,7 @@ class FRFLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, to which only the inferred model errors have been added."""
+        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only."""
         return self.modal.simulate_discrepancy(rng, frequencies, noise)
 
     def with_discrepancy(

@@ -15,11 +15,11 @@ class Misfit(NamedTuple):
     Attributes
     ----------
     terms : ndarray, shape (n, n_frfs, n_lines)
-        Log-densities, without constants.
+        Log-densities, without constants; 0 for values that are not used.
     weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
-        w such that d(terms) = Re(w dH).
+        w such that d(terms) = Re(w dH); None if derivatives were not requested.
     by_sd : ndarray, shape (n, n_frfs, n_lines), or None
-        Derivative with respect to the relative model error σ.
+        Derivative with respect to the relative model error σ; None also if the variance does not depend on H or σ.
     """
 
     terms: FloatArray

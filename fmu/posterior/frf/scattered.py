@@ -68,7 +68,7 @@ class ModeScatter:
 
     @classmethod
     def of(cls, given: Discrepancy, model: FRFModel, start: FloatArray, top: float) -> ModeScatter:
-        """Return the discrepancy in a model's modes up to the frequency `top`, Hz."""
+        """Return the discrepancy in a model's elastic modes up to `_BAND` times the frequency `top`, Hz."""
         lam = model.block.eigenvalues(start[None], model.block.size)[0, model.n_rigid :]
         hz = np.sqrt(np.maximum(lam, 0.0)) / (2.0 * np.pi)
         own = [
@@ -88,10 +88,10 @@ class ModeScatter:
         return np.asarray((np.eye(m) - rho / (1.0 + (m - 1) * rho)) / ((1.0 - rho) * self.sd**2))
 
     def log_density(self, f: FloatArray, lam: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the log-density of the frequencies f (n, m) given the model's eigenvalues lam (n, m).
+        """Return the log-density (n,) of the frequencies f (n, m) in Hz given the model's eigenvalues lam (n, m).
 
-        The log-density, (n,), replaces the uniform prior density of f. Its derivatives with respect to the
-        frequencies and to the eigenvalues, (n, m) each, follow.
+        It replaces the uniform prior density of f. Its derivatives with respect to the frequencies and to the
+        eigenvalues, (n, m) each, follow.
         """
         x = np.log(2.0 * np.pi * f) - 0.5 * np.log(lam)
         turned = np.einsum("gh,nh->ng", self.precision, x)
@@ -160,14 +160,20 @@ class ScatteredTerm(FRFTerm):
         return ScatteredTerm(data, self.model, self.channels, self.inferred[:n], self._settings, self.scatter)
 
     def without_lines(self) -> ScatteredTerm:
-        """Return the term without measured lines, so that only the mode errors remain. A search starts with it."""
+        """Return the term without measured values, so that only the density of the frequencies remains.
+
+        The search for maxima starts with it.
+        """
         other = self.widen(0.0)
         assert isinstance(other, ScatteredTerm)
         other._is_silent = True
         return other
 
     def _weights(self) -> FloatArray:
-        """Return the reciprocal standard deviations of the values, (n_frfs, L); 0 for values that are not used."""
+        """Return the reciprocal standard deviations of the values, (n_frfs, L); 0 for values that are not used.
+
+        All are 0 in a term `without_lines`.
+        """
         if self._is_silent:
             return np.zeros(self._used.shape)
         return np.asarray(self._used / np.sqrt(self._variance + self._wider**2 * square(self._measured)))
@@ -255,7 +261,10 @@ class ScatteredTerm(FRFTerm):
         return found
 
     def frfs(self, theta: FloatArray) -> ComplexArray:
-        """Return the FRFs with the inferred frequencies, in the units of the data, (n, n_frfs, n_lines)."""
+        """Return the FRFs with the inferred frequencies and no residue errors, in the units of the data.
+
+        The shape is (n, n_frfs, n_lines).
+        """
         at = self._at(theta)
         return np.asarray(at.modes.amplitudes @ at.resonances.g * self._power)
 

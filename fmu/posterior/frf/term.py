@@ -106,7 +106,7 @@ class FRFTerm:
 
     @property
     def relative_noise(self) -> float:
-        """Median over the lines of the data's standard deviation divided by |H|."""
+        """Median over the used values of the data's standard deviation divided by the measured |H|."""
         size = 1.0 if self._is_log else np.abs(self._measured)
         return float(np.median((np.sqrt(self._variance) / size)[self._used]))
 
@@ -115,7 +115,7 @@ class FRFTerm:
         return self._sd_column is None and not self._wider and not self._model_sd
 
     def frfs(self, theta: FloatArray) -> ComplexArray:
-        """Return the computed FRFs in the units of the data, (n, n_frfs, n_lines), at theta (n, ndim)."""
+        """Return the computed FRFs, (n, n_frfs, n_lines), in the units of the data, at the lines in use."""
         with single_thread():
             parts = [
                 self._predict(self._solve(theta[rows]), theta[rows], slice(None)) * self._power
@@ -166,7 +166,7 @@ class FRFTerm:
         return total
 
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
-        """Return the standard deviations of the errors in H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
+        """Return the sd (Student's t: scale) of errors in H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
@@ -200,7 +200,7 @@ class FRFTerm:
         return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the posterior mean and sd of the gain errors that are integrated out, (n, n_channels) each."""
+        """Return posterior mean and sd of the integrated gain errors, (n, n_channels) each; 0 if there is none."""
         found = self._integrate_gains(theta, self._solve(theta))
         return found.best, 1.0 / np.sqrt(found.precision)
 
@@ -222,7 +222,7 @@ class FRFTerm:
         return found * self.channels.factors(theta, self.omega[lines]) if self.channels.parameters else found
 
     def _sd(self, theta: FloatArray) -> FloatArray:
-        """Return the relative model error σ, shape (n, 1, 1)."""
+        """Return the relative model error σ, shape (n, 1, 1), known or inferred."""
         if self._model_sd is None:
             return theta[:, self._sd_column, None, None]
         return np.full((len(theta), 1, 1), self._model_sd)

@@ -104,7 +104,7 @@ class Prior(ABC):
 
 
 def prior_in(given: object) -> Prior | None:
-    """Return the argument if it is a prior distribution, or None if it is a number, a name or None."""
+    """Return the argument if it is a prior distribution, otherwise None."""
     return given if isinstance(given, Prior) else None
 
 
@@ -153,7 +153,10 @@ class Normal(Prior):
             return -(x - self.mean) / self.sd**2
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds, log(Φ(b) − Φ(a)), without cancellation in either tail."""
+        """Return the log-probability between two bounds, log(Φ(b) − Φ(a)), without cancellation in either tail.
+
+        Return ``-inf`` if the bounds are too close together to tell Φ(a) and Φ(b) apart.
+        """
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         if a > 0:
             a, b = -b, -a

@@ -97,7 +97,13 @@ class LogNormal(Prior):
     @classmethod
     @check_arguments
     def from_mean(cls, mean: Positive, sd: Positive) -> LogNormal:
-        """Return the prior with the given mean and standard deviation, in the parameter's unit."""
+        """Return the prior with the given mean and standard deviation, in the parameter's unit.
+
+        Raises
+        ------
+        ValueError
+            If `mean` or `sd` is not positive and finite, or `sd` is below about 1e-8 of the mean.
+        """
         variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
         _require_width("mean", mean, sd, variance)
         return cls(float(mean * np.exp(-0.5 * variance)), float(np.sqrt(variance)))
@@ -109,6 +115,11 @@ class LogNormal(Prior):
 
         With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation has one positive root v. It is
         solved for log v.
+
+        Raises
+        ------
+        ValueError
+            If `mode` or `sd` is not positive and finite, or `sd` is below about 1e-8 of the mode.
         """
         from scipy.optimize import brentq
 

@@ -56,7 +56,8 @@ def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth
 
     Returns
     -------
-    ndarray, shape (n · maxima, ndim)
+    ndarray, shape (n · m, ndim)
+        For the m local maxima that lie within `depth` of the highest one.
     """
     maxima = local_maxima(problem, starts=8)
     points = []
