@@ -15,8 +15,8 @@ from fmu.samplers.kernel import Info, State, Tree
 from fmu.types import BoolArray, FloatArray
 
 LAG = 10.0
-"""Largest difference in log-density between a chain in the bulk and most chains; one more is allowed per
-coordinate."""
+"""Largest difference between the log-density of a chain in the bulk and the value that at least half of the
+chains reach; one more is allowed per coordinate."""
 WINDOW_LAG = 3.0
 """The same for means over a window, with one half more per coordinate, because a mean scatters less than a single
 draw."""
@@ -51,10 +51,10 @@ class Schedule:
 
     @classmethod
     def doubling(cls, steps: int) -> Schedule:
-        """Return a schedule in which each window is twice as long as the previous one.
+        """Return a schedule in which each window is twice as long as the previous one, but the last may be longer.
 
-        A short warm-up has no windows. This schedule suits a sampler that must adapt its step size again in every
-        window.
+        A warm-up of fewer than about 35 steps has no windows. This schedule suits a sampler that must adapt its
+        step size again in every window.
         """
         first = last = int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -70,9 +70,9 @@ class Schedule:
     def sliding(cls, steps: int) -> Schedule:
         """Return a schedule in which each window covers the later half of all steps so far.
 
-        Each window closes 10 % (at least 10 steps) later than the previous one. A short warm-up has no windows.
-        This schedule suits a sampler that mixes slowly until it knows the target's covariance: the estimate
-        improves from window to window.
+        Each window closes 10 % (at least 10 steps) later than the previous one, and the last at the end of the
+        second part. A warm-up of fewer than 30 steps has no windows. This schedule suits a sampler that mixes
+        slowly until it knows the target's covariance: the estimate improves from window to window.
         """
         first, last = int(0.25 * steps), int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -136,7 +136,10 @@ class DualAveraging:
 
     @property
     def averaged(self) -> FloatArray:
-        """The averaged logarithm x̄, which is used after warm-up, shape () or (chains,)."""
+        """The averaged logarithm x̄, which is used after warm-up, shape () or (chains,).
+
+        Before the first update it is x.
+        """
         smoothed: FloatArray = self.average if self.count else self.log_value
         return smoothed
 
@@ -147,7 +150,7 @@ class Learner:
     Attributes
     ----------
     covariance : ndarray, shape (ndim, ndim), or None
-        Covariance from the last window; None before the first window has closed.
+        Covariance from the last window whose draws gave one; None if no window has.
     """
 
     def __init__(self, schedule: Schedule, ndim: int) -> None:
@@ -222,7 +225,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     Returns
     -------
     ndarray or None
-        None if there are too few draws, a coordinate never changed, or the covariance is singular.
+        None if there are at most ``2 ndim`` draws, a coordinate never changed, or the covariance is singular.
     """
     if not len(position):
         return None
@@ -250,7 +253,8 @@ def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray 
     The criterion is each chain's (average) log-density, which scatters by only √(ndim/2) within one mode. A chain
     with a far lower value is still approaching the bulk or trapped. One with a far higher value has found a spike,
     or a mode that the other chains have not found yet. In either case its draws are of no use to the other chains.
-    If `acceptance` is given, a chain must also accept about as often as the other chains, unless no chain does.
+    If `acceptance` is given, a chain must also accept at least `STUCK` times as often as the median chain, unless
+    none of the chains in the bulk does.
     """
     near = np.abs(log_prob - _level(log_prob)) <= allowance
     if acceptance is None:

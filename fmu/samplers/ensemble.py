@@ -180,7 +180,10 @@ class _Tally(Target):
 
 
 def _mixture(moves: Moves) -> tuple[tuple[str, float], ...]:
-    """Return the moves as (name, weight) pairs; raise ValueError for an unknown move or a weight ≤ 0."""
+    """Return the moves as (name, weight) pairs.
+
+    Raise ValueError if a move is unknown, a weight is not positive, or `moves` is empty or has another form.
+    """
     given = [moves] if isinstance(moves, str) else moves.items() if isinstance(moves, Mapping) else moves
     listed = given if isinstance(given, Iterable) else ()
     pairs = [(move, 1.0) if isinstance(move, str) else move for move in listed]

@@ -48,7 +48,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         Step size δt, in scaled units. If it is given, nothing is learnt. Otherwise warm-up learns it, and also
         `n_steps` and `inverse_mass` unless these are given.
     n_steps : int, optional
-        Number of leapfrog steps per trajectory.
+        Number of leapfrog steps per trajectory; required if `step_size` is given.
     jitter : float
         Each trajectory's step size is drawn uniformly within ± this fraction of the step size, to avoid resonance.
     inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
@@ -73,7 +73,7 @@ class HamiltonianMonteCarlo(LocalSampler):
     Raises
     ------
     ValueError
-        If a setting is out of range.
+        If a setting is out of range, or `step_size` is given without `n_steps`.
 
     References
     ----------
@@ -132,7 +132,8 @@ class HamiltonianMonteCarlo(LocalSampler):
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 
-        The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if warm-up can learn M⁻¹.
+        The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if there are at most 50
+        parameters, so that warm-up can learn M⁻¹.
         """
         curvature = components[int(np.argmax(weights))].hessian
         if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
@@ -151,8 +152,9 @@ class HamiltonianMonteCarlo(LocalSampler):
 class HamiltonianTuner:
     """Tuner of the step size, the inverse mass matrix and the number of steps per trajectory.
 
-    Dual averaging gives the step size, and the covariance of each window's draws gives the inverse mass matrix.
-    The number of steps is the intended trajectory length divided by the step size.
+    Dual averaging gives the step size. The covariance of each window's draws gives the inverse mass matrix, unless
+    it is given. The number of steps, unless given, is the intended trajectory length divided by the step size, at
+    most `_MOST_STEPS`; it is `START_STEPS` as long as no inverse mass matrix is known.
 
     In the first part of warm-up each chain has its own step size: a chain far from the bulk of the distribution
     needs a small one, which must not slow down the other chains. Afterwards all chains share one step size, which
@@ -225,7 +227,7 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether at least `_TRIALS` steps were taken with the final metric. The first steps are too large."""
+        """Whether at least `_TRIALS` steps were taken with the final metric. The first steps are too long."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 
@@ -243,7 +245,10 @@ class HamiltonianTuner:
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: FloatArray | float) -> int:
-        """Return `n_steps` if it is given, otherwise the number of steps for the intended trajectory length."""
+        """Return the number of steps for the intended trajectory length, or for the longest of several step sizes.
+
+        The present number is kept if `n_steps` is given or no metric is known.
+        """
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

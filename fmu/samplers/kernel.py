@@ -94,7 +94,8 @@ class Kernel(Protocol):
 class Sampler(ABC):
     """Base class of the samplers' settings, which are dataclasses.
 
-    A sampler that is listed in `registry` also sets these class attributes.
+    A sampler that is listed in `registry` must set `name`, `title` and `colour`; the other attributes have
+    defaults.
 
     Attributes
     ----------
@@ -149,9 +150,10 @@ class Sampler(ABC):
     def starting_from(
         self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> Self:
-        """Return a copy adapted to the density's maxima, given as quadratics, or `self` by default.
+        """Return a copy adapted to the density's maxima, or `self` by default.
 
-        If `warp` is given, the log-density is closer to the quadratics in its coordinates.
+        The maxima are given as quadratics, with their `weights` (n,). If `warp` is given, the log-density is
+        closer to the quadratics in the coordinates of the warp.
         """
         return self
 
@@ -201,11 +203,11 @@ class Evaluation(NamedTuple):
     Attributes
     ----------
     log_prob : ndarray, shape (...)
-        ``-inf`` outside the bounds, and where the density is not finite.
+        ``-inf`` outside the bounds, and where the log-density is not finite.
     n_solves : ndarray of int, shape (...)
         1 within the bounds, 0 outside.
     n_nonfinite : ndarray of int, shape (...)
-        1 where the density within the bounds is not finite.
+        1 at points within the bounds where the log-density is not finite; 0 elsewhere.
     """
 
     log_prob: FloatArray
@@ -254,14 +256,17 @@ class Target:
         return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points, at one solve each; return the state without gradients, and its `Info`."""
+        """Evaluate the starting points, at one solve for each within the bounds; return the state and its `Info`.
+
+        The state has no gradients.
+        """
         first = self.evaluate(positions)
         none = np.zeros(first.log_prob.shape, dtype=np.int64)
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Add the gradient if a step needs it and the state lacks it; return the state and the cost.
+        """Add the gradient if a step needs it and the state lacks it; return the state and the evaluation's cost.
 
-        The cost is None if nothing was missing.
+        The cost is None if nothing was missing, as always in this class, which has no gradients.
         """
         return state, None

@@ -73,7 +73,8 @@ class LocalKernel(ABC):
 def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArray) -> BoolArray:
     """Return a mask of accepted candidates: True with probability min(1, exp(log_ratio)), elementwise.
 
-    Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092. log u is drawn as −x with x exponential.
+    A NaN is not accepted. Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092. log u is drawn as −x with x
+    exponential.
     """
     return np.asarray(-rng.standard_exponential(log_ratio.shape) <= log_ratio)
 

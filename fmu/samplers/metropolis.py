@@ -17,7 +17,7 @@ from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
 from fmu.types import FloatArray, LogDensity
 
 START_SCALE = 0.01
-"""Initial standard deviation of the random walk, in scaled units."""
+"""Standard deviation of the random walk before a covariance is learnt, in scaled units."""
 _SETTLING = 20  # steps that the scale of a random walk takes to settle
 
 
@@ -49,7 +49,8 @@ class RandomWalk:
     Raises
     ------
     ValueError
-        If `scale` is not finite and positive, or is a matrix that is not positive definite.
+        If `scale` is not finite and positive, is a matrix that is not symmetric positive definite or, when a
+        sample is drawn, does not have ndim entries or rows.
     """
 
     scale: Any = 0.01
@@ -105,7 +106,8 @@ class LogNormalWalk:
     Raises
     ------
     ValueError
-        If `scale` is not positive and finite, or a position is not above `origin`.
+        If `scale` is not positive and finite, or a vector `origin` is not finite. When a sample is drawn, also if
+        a vector does not have length ndim, or a position is not above `origin`.
     """
 
     scale: ArrayLike = 0.2
@@ -119,7 +121,7 @@ class LogNormalWalk:
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
         """Return candidates, shape (chains, ndim): the distances from the origin times log-normal factors.
 
-        Raise ValueError if a position is not above `origin`.
+        Raise ValueError if a position is not above `origin`, or if `scale` or `origin` has the wrong length.
         """
         ndim = position.shape[-1]
         scale, origin = fits("scale", self.scale, ndim), fits("origin", self.origin, ndim)
@@ -148,7 +150,8 @@ class Independence:
     Raises
     ------
     ValueError
-        If `mean` is not finite, or `covariance` is not a symmetric positive definite matrix of matching size.
+        If `mean` is not a finite vector, or `covariance` is not a symmetric positive definite matrix of matching
+        size. When a sample is drawn, also if `mean` does not have length ndim.
     """
 
     mean: ArrayLike
@@ -205,7 +208,7 @@ class MetropolisHastings(LocalSampler):
     cost: ClassVar[tuple[float, float, float]] = (1.5, 0.7, 0.3)
 
     def bind(self, density: LogDensity) -> MetropolisKernel:
-        """Return the kernel that samples `density` with these settings."""
+        """Return the kernel that samples `density`. By default its random walk has the scale `START_SCALE`."""
         return MetropolisKernel(Target(density), self.proposal or RandomWalk(START_SCALE))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
@@ -254,7 +257,7 @@ class Search(SliceKernel):
     """Slice-sampling kernel for the first part of warm-up, with the Metropolis-Hastings kernel's statistics."""
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw a point from the slice for every chain; no candidate is rejected."""
+        """Draw a point from the slice for every chain. The acceptance rate is 1, or 0 for a chain that stayed."""
         state, info = super().step(rng, state)
         extra = {"acceptance_rate": info.accepted.astype(float), "n_nonfinite": info.extra["n_nonfinite"]}
         return state, replace(info, extra=extra)
@@ -268,9 +271,9 @@ class MetropolisTuner:
     sampling, which finds its own scale in every step. The random walk starts with the covariance of these draws,
     and each window improves it (Haario, Saksman & Tamminen 2001).
 
-    The random walk has the covariance s²·S, where S is the covariance of the last window. The scale s is adapted
-    until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44 in one
-    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion
+    The random walk has the covariance s²·S, where S is the latest covariance learnt from a window. The scale s is
+    adapted until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44
+    in one dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion
     (Andrieu & Thoms 2008, algorithm 4).
     """
 
@@ -298,7 +301,10 @@ class MetropolisTuner:
         self._take_settings()
 
     def finish_learning(self) -> MetropolisHastings:
-        """Return the learnt settings, with the scale averaged over the last steps."""
+        """Return the learnt settings, with the scale averaged over the steps since the last window closed.
+
+        The first 20 of these steps are left out of the mean. If there were at most 40, the last scale is returned.
+        """
         averaged = self.sum / (self.count - _SETTLING) if self.count > 2 * _SETTLING else self.log_scale
         return self._settings(averaged)
 

@@ -17,7 +17,7 @@ SAMPLERS = {
     "gibbs": "gibbs.gibbs.GibbsSampler",
     "tempering": "tempering.tempering.Tempering",
 }
-"""Module and class of each sampler's settings, by name; a module is imported when it is first used."""
+"""Module and class of each sampler's settings, keyed by name; a module is imported when it is first used."""
 COMPARED = ("mh", "slice", "hmc", "emcee", "mixture")
 """Names of the samplers that are compared on one problem."""
 BASELINE = "emcee"
@@ -41,7 +41,8 @@ def local_samplers() -> tuple[str, ...]:
 def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
     """Return the numbers of warm-up steps and draws of a run, with defaults for those that are None.
 
-    If `draws` is None, the defaults depend on the sampler, and convergence is first checked after these draws.
+    If `draws` is None, the defaults depend on the sampler, and convergence is first checked after these draws; an
+    unknown sampler then raises ValueError. If `draws` is given, the default is 1000 warm-up steps.
     """
     from fmu.samplers.kernel import Sampler
 

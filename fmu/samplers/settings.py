@@ -42,7 +42,7 @@ def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
 
 
 def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return a vector as a tuple of floats; raise ValueError unless it is finite and one-dimensional."""
+    """Return a vector as a tuple of floats; raise ValueError unless it is one-dimensional, finite and nonempty."""
     array = _as_floats(name, value)
     if array.ndim != 1 or array.size == 0 or not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: must be a vector of finite numbers (got {value!r})")
@@ -63,7 +63,7 @@ def positive_scale(name: str, value: ArrayLike, *, matrix: bool) -> Scale:
     Raises
     ------
     ValueError
-        If `value` is none of these.
+        If `value` is none of these, is empty or not finite, or is a matrix and `matrix` is False.
     """
     array = _as_floats(name, value)
     if not np.all(np.isfinite(array)) or array.size == 0:
@@ -104,7 +104,7 @@ def orthonormal(name: str, value: ArrayLike) -> tuple[tuple[float, ...], ...]:
 
 
 def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
-    """Return `value` as an array; raise ValueError unless it is a scalar or has length `ndim`."""
+    """Return `value` as an array; raise ValueError unless it is a scalar or its first axis has length `ndim`."""
     array = np.asarray(value, dtype=float)
     if array.ndim and array.shape[0] != ndim:
         raise ValueError(f"{name}: must have length {ndim}, one entry per coordinate (got {array.shape[0]})")
@@ -112,14 +112,14 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 
 def describe(settings: Any) -> dict[str, object]:
-    """Return a dataclass's fields as JSON-able data. Nested dataclasses also have their class name."""
+    """Return a dataclass's constructor arguments as data for JSON. Nested dataclasses add their class name."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
     described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described
 
 
 def _make_plain(value: object) -> object:
-    """Return a JSON-able equivalent of a value that JSON cannot represent."""
+    """Return an equivalent, for JSON, of a value that JSON cannot represent; its `repr` if there is no other."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
     table = mapping_in(value)
@@ -136,7 +136,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
     """Return the usual numbers of solves that one step of all chains takes, in warm-up and after it.
 
-    The numbers are means over the built-in cases.
+    They are estimated from the sampler's mean costs over the built-in cases.
     """
     of_warmup, of_draw, _ = settings.cost
     each = chains * settings.walkers * (solves_per_gradient if settings.takes_gradients else 1)

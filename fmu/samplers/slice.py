@@ -45,8 +45,14 @@ class Slice(LocalSampler):
         Largest number of expansions of one interval by `width` ("coordinate" only): Neal's m is
         ``max_steps_out + 1``.
     max_shrinks : int
-        Largest number of candidates for one interval. A chain that reaches this number stays where it is, which
-        leaves the target invariant. This happens only where rounding hides the slice.
+        Largest number of candidates for one interval. A chain that misses the slice with all of them stays where
+        it is, which leaves the target invariant. This happens only where rounding hides the slice.
+
+    Raises
+    ------
+    ValueError
+        If `scheme` is unknown, `width` or `spread` is not positive and finite, the columns of `axes` are not
+        orthonormal, `max_steps_out` is negative or `max_shrinks` is less than 1.
 
     Notes
     -----
@@ -151,11 +157,11 @@ class SliceKernel(LocalKernel):
         interval: FloatArray,
         account: dict[str, IntArray],
     ) -> FloatArray:
-        """Step out along axis `i` (Neal 2003, figure 3); return the left and right interval ends.
+        """Step out along axis `i` (Neal 2003, figure 3); return the left and right interval ends, (2, chains, 1).
 
         Each end is moved outwards until it is off the slice or its budget is used up. The budget is split between
         left and right in advance, so both ends and all chains can advance together. An end outside the bounds
-        counts as off the slice and takes no solve.
+        counts as off the slice and takes no solve. Evaluations and expansions are added to `account`.
         """
         ends = interval[:, :, 0]
         outward = np.multiply.outer([-1.0, 1.0], np.broadcast_to(self.width[..., i], len(x)))
@@ -187,9 +193,10 @@ class SliceKernel(LocalKernel):
     ) -> tuple[FloatArray, FloatArray]:
         """Draw from the intervals, shrinking them towards offset 0 at every miss (Neal 2003, figures 5 and 8).
 
-        Return the new positions, shape (chains, ndim), and their log-densities, shape (chains,). The parts of the
-        intervals in which every candidate would be outside the bounds are first cut off. Chains that have hit the
-        slice wait for the other chains and are not evaluated again.
+        Return the new positions, shape (chains, ndim), and their log-densities, shape (chains,). The intervals are
+        first cut at the bounds where `_cut` can do so. Chains that have hit the slice wait for the other chains
+        and are not evaluated again. A chain that misses `max_shrinks` times stays. Evaluations and misses are
+        added to `account`.
         """
         left, right = self._cut(x, ends, axes)
         new, new_log_prob = x.copy(), log_prob.copy()
@@ -212,7 +219,7 @@ class SliceKernel(LocalKernel):
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Cut the intervals at the bounds of each coordinate that only one axis moves; return left and right ends.
 
-        Both have shape (chains, axes).
+        Both have shape (chains, axes). If each chain has its own axes, intervals on several axes are not cut.
         """
         left, right = ends[0].copy(), ends[1].copy()
         if axes.ndim == 3:  # each chain has its own, oblique axes: only a single axis can be cut
@@ -251,7 +258,7 @@ class SliceTuner:
             self._take_covariance()
 
     def finish_learning(self) -> Slice:
-        """Return the learnt settings."""
+        """Return the learnt settings. If no covariance was learnt, the width is `START_WIDTH`."""
         return self.settings
 
     def state(self) -> Tree:

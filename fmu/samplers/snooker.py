@@ -34,7 +34,8 @@ class SnookerMove(RedBlueMove):
     ) -> tuple[FloatArray, FloatArray]:
         """Return candidates for the walkers `s` (n, ndim), and the logarithms of their acceptance factors, (n,).
 
-        Each candidate uses three different walkers from `c`, the rest of the ensemble.
+        Each candidate uses three different walkers from `c`, the rest of the ensemble. A walker at the same point
+        as its z stays there.
         """
         rest = np.concatenate(c, axis=0)
         n, ndim = s.shape

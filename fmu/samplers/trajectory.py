@@ -39,7 +39,7 @@ class Metric:
 
     @classmethod
     def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
-        """Return the metric for an inverse mass matrix: a matrix, a vector (diagonal), or None (identity matrix).
+        """Return the metric for an inverse mass matrix: a matrix, its diagonal, a number, or None (identity).
 
         Raises
         ------
@@ -100,14 +100,17 @@ class WithGradient(Target):
         """Return log-densities and gradients at `position` (n, ndim), for the chains with indices `chain`."""
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate density and gradient at the starting points; raise ValueError if a gradient is not finite."""
+        """Evaluate density and gradient; raise ValueError if a log-density is finite but its gradient is not."""
         n, slope = len(positions), self.slope(positions, with_log_prob=True)
         require_finite_gradient(slope.log_prob, slope.finite)
         info = Info(np.zeros(n, dtype=bool), slope.log_prob, slope.n_solves, np.ones(n, dtype=np.int64))
         return State(positions, slope.log_prob, slope.gradient), info
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Add the gradient if the state lacks it; return the state and the cost, or None if none was missing."""
+        """Add the gradient if the state lacks it; return the state and the cost, or None if none was missing.
+
+        Raise ValueError as `start` does.
+        """
         if state.gradient is not None:
             return state, None
         begun, cost = self.start(state.position)
@@ -157,7 +160,7 @@ class CentralDifference(WithGradient):
         self.delta, self.h = delta, h
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Return gradients and, if required, log-densities at `position` (n, ndim); `chain` has no effect."""
+        """Return gradients and log-densities (NaN unless requested) at `position` (n, ndim); ignore `chain`."""
         n, ndim = position.shape
         ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
         points = [ends.reshape(-1, ndim)]
@@ -183,7 +186,7 @@ class Drift(NamedTuple):
     position, momentum : ndarray, shape (n, ndim)
     n_bounces : ndarray of int, shape (n,)
     arrived : ndarray of bool, shape (n,)
-        False if the limit on bounces was reached or the position is not finite; the point must then not be used.
+        False if the point needs more than its limit of bounces, or is not finite; it must then not be used.
     """
 
     position: FloatArray
@@ -215,6 +218,7 @@ def drift(
     lower, upper : ndarray, shape (ndim,)
         Bounds; infinite where there is none.
     max_bounces : ndarray of int, shape (n,)
+        Largest number of reflections of each point. A point that needs more stops at a bound.
 
     References
     ----------
@@ -259,7 +263,7 @@ class Trajectory(NamedTuple):
     Position, momentum and gradient have shape (chains, ndim), the other arrays (chains,). Where `finished` is
     False, the trajectory was abandoned and its end point is meaningless. `n_steps` and `n_solves` count the steps
     and solves actually taken. `nonfinite` is True where density, gradient, position or momentum became non-finite;
-    other abandoned trajectories reached the limit on bounces.
+    other abandoned trajectories exceeded the limit on bounces.
     """
 
     position: FloatArray
@@ -289,7 +293,7 @@ class HamiltonianKernel(LocalKernel):
     max_bounces: int
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw momenta, follow one trajectory per chain, and accept or reject each end point."""
+        """Draw momenta and follow one trajectory per chain; accept or reject its end. The state needs a gradient."""
         if state.gradient is None:
             raise ValueError("state: must carry the gradient at its position (got None)")
         chains = len(state.position)
@@ -313,7 +317,7 @@ class HamiltonianKernel(LocalKernel):
         return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel for all chains, with their metrics and step sizes and the median number of steps."""
+        """Return one kernel for all chains, with their metrics and step sizes, but the median number of steps."""
         inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
         return replace(
             self,
@@ -323,16 +327,16 @@ class HamiltonianKernel(LocalKernel):
         )
 
     def _energy(self, end: Trajectory) -> FloatArray:
-        """Return the energy H at the end of each trajectory, shape (chains,). It is infinite after an overflow."""
+        """Return the energy H at the end of each trajectory, shape (chains,); inf if it overflows or is NaN."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
 
     def integrate(self, state: State, momentum: FloatArray, step_size: FloatArray) -> Trajectory:
         """Take `n_steps` leapfrog steps from `state`, all chains in lockstep, with reflection at the bounds.
 
-        A trajectory is abandoned if it reaches the limit on bounces, or where density or gradient are not finite.
-        Its chain then waits for the other chains and is not evaluated again. `momentum` has the shape (chains,
-        ndim), and `step_size` (chains,).
+        A trajectory is abandoned if it exceeds the limit on bounces, or if its density, gradient, position or
+        momentum is not finite. Its chain then waits for the other chains and is not evaluated again. `momentum`
+        has shape (chains, ndim), and `step_size` (chains,).
         """
         chains = len(momentum)
         q, p = state.position.copy(), momentum.copy()

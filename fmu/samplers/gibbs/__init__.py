@@ -1,4 +1,4 @@
-"""Gibbs sampling for parameters that vary between tests as populations.
+"""Gibbs sampling for parameters whose values in the different tests are draws from a population.
 
-Reading order: gibbs, main_parameters, errors_of_model.
+Read the modules in this order: gibbs, main_parameters, errors_of_model.
 """

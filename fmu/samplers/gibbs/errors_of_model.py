@@ -6,7 +6,7 @@ errors, the tests are independent. But errors and main parameters explain the sa
 parameters hardly move while the errors are fixed. Three kinds of steps move them further:
 
 1. The standard deviation of the errors is scaled, while the errors in standard deviations stay the same, and the
-   main parameters move to compensate. This step leads along the funnel that a small scatter causes.
+   main parameters move to compensate. This step follows the funnel that forms where the errors become small.
 2. The main parameters take random walks at fixed scores, in the density with the errors marginalised (a partially
    collapsed Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change in the
    main parameters that would compensate for random errors.
@@ -33,7 +33,7 @@ _NOISE_STEPS, _NOISE_SIZE = 4, 2.0
 """Number of random-walk steps for each error standard deviation, and their size in standard deviations of its
 logarithm at the typical point."""
 _SHIFTS = 4
-"""Number of random-walk steps of the main parameters without the errors of the model."""
+"""Number of random-walk steps of the main parameters with the model errors marginalised."""
 _SMALLEST = 0.05
 """Size of the smallest random-walk step, in standard deviations; the largest is 1."""
 
@@ -45,8 +45,8 @@ class MovesWithErrors(MovesOfMain):
     Attributes
     ----------
     collapsed : UpdatingProblem
-        The problem with the model errors marginalised and standard normal scores. In `problem` the errors are the
-        last parameters, if the model has discrepancy.
+        The problem with standardised scores and with the model errors marginalised. If the model has a
+        discrepancy, the model errors are the last parameters of `problem`.
     """
 
     collapsed: UpdatingProblem

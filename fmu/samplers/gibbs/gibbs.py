@@ -25,10 +25,11 @@ If the model has a discrepancy, its errors are common to all tests. Steps 1 to 4
 errors, and step 5 is part of `fmu.samplers.gibbs.errors_of_model`.
 
 Where precise data leave curved ridges of scores, the approximations of step 2 can be far from the density, and a
-test may have two maxima. Half of the proposals of step 2 then start from the present scores: they are drawn about
-the end of a Gauss–Newton step, with the information of the data at the present scores (Martin, Wilcox, Burstedde &
-Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that a draw costs three solves.
-Each solve also gives the derivatives from which the next step starts.
+test may have two maxima. Half of the proposals for such a test then start from the present scores: they are drawn
+about the end of a Gauss–Newton step, with the information of the data at the present scores (Martin, Wilcox,
+Burstedde & Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that a draw costs three
+solves. Each solve also gives the derivatives from which the next step starts. This is not done if values are
+correlated in time, the model has a discrepancy, or gradients take extra solves.
 
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
@@ -143,7 +144,8 @@ class GibbsKernel(MovesWithErrors):
     ----------
     scaled : ScaledDensity
     whole : UpdatingProblem
-        The problem that is sampled. Unlike those of `problem`, its parameters do not include the model errors.
+        The problem that is sampled. Its parameters never include the model errors, but those of `problem` do if
+        the model has a discrepancy.
     """
 
     scaled: ScaledDensity

@@ -23,7 +23,7 @@ from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
 from fmu.types import AnyArray, BoolArray, FloatArray
 
 _LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
-"""Smallest and largest trajectory length, in standard deviations. A quarter period is 1.6 if these are right;
+"""Smallest and largest trajectory length, in standard deviations. If these are right, a quarter period is 1.6;
 longer trajectories help where the fitted normal distribution is too narrow."""
 _MANY = 150
 """Number of tests beyond which trajectories are shorter."""
@@ -69,7 +69,7 @@ class _Target(ExactGradient):
 
 Fit = dict[str, FloatArray]
 """How well a point fits the data: log-likelihood ``"terms"`` (chains, n_terms) and, if the sampler follows ridges,
-``"residuals"`` (chains, n_residuals) and their ``"slopes"`` by the tests' values (chains, n_residuals, P)."""
+``"residuals"`` (chains, n_residuals) and their ``"slopes"`` in the tests' values (chains, n_residuals, P)."""
 
 
 def fit_to(likelihood: ModalLikelihood, seen: ModalPrediction, at: FloatArray) -> Fit:
@@ -210,7 +210,10 @@ class MovesOfMain:
         return np.where(chosen, candidate, theta), select_fit(chosen, chosen, new_fit, fit), last, accepted
 
     def fit_at(self, theta: FloatArray) -> Fit:
-        """Return the fit at theta, (chains, ndim), with standardised test scores, from one solve of all tests."""
+        """Return the fit at theta, (chains, ndim), with standardised test scores, from one solve of all tests.
+
+        If a term is not finite, the terms are evaluated again to record the failures.
+        """
         at, ridges = self.conditionals.scores.layout.of_model(theta), self.ridges
         if ridges is None:
             fit = {"terms": self.problem.likelihood.terms(at)}

@@ -61,7 +61,7 @@ class GroupState:
     state : State or None
         None if the chains have not begun.
     tuner : Tree or None
-        `Tuner.state` of the tuner; None if there is nothing to learn.
+        `Tuner.state` of the tuner; None if the chains have not begun, or there is nothing to learn.
     learnt : dict
         Learnt settings with which the draws are made, as JSON-able data; {} if nothing has been learnt.
     """
@@ -127,7 +127,8 @@ class ChunkResult:
     group : GroupState
         The group after the chunk.
     failures : list
-        Points without a finite log-density, with the reasons (the density's `take_failures`).
+        Points without a finite log-density, with the reasons (the density's `take_failures`); empty for a density
+        without this method.
     """
 
     steps: Steps
@@ -141,8 +142,8 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     Raises
     ------
     ValueError
-        If the log-density, or a gradient that the sampler needs, is not finite at a chain's starting point, or if
-        the walkers of an emcee ensemble do not span the space.
+        If the log-density, or a gradient that the sampler needs, is not finite at a chain's starting point, if the
+        walkers of an emcee ensemble do not span the space, or if a setting does not fit the density.
     """
     group = _GroupRunner(context, chunk.group)
     began = time.perf_counter()
@@ -210,7 +211,7 @@ class _GroupRunner:
     def step(self, phase: str) -> Info:
         """Take one step and, in warm-up, let the tuner learn from it; return the step's diagnostics.
 
-        The cost of evaluating the starting points is added to the first step.
+        They include the tuner's own solves and, in the first step, the cost of evaluating the starting points.
         """
         self.state, info = self.kernel.step(self.rng, self.state)
         if self.start is not None:

@@ -97,9 +97,10 @@ class Run:
     ------
     ValueError
         If a number is out of range, or a setting does not fit the density; if a starting point is outside the
-        bounds or has a log-density that is not finite; or if the checkpointer contains a run with another density.
+        bounds, or its log-density or a gradient that the sampler needs is not finite; or if the checkpointer
+        contains a run with another density.
     Interrupted
-        If `stop` returned True.
+        If `stop` returned True during warm-up or, with a checkpointer, if the user pressed Ctrl+C.
     TooManyFailuresError
         If `too_many_failed` returned a message.
     """
@@ -147,9 +148,11 @@ class Run:
         Raises
         ------
         ValueError
-            If `draws` is not a whole number of at least 1.
+            If `draws` is not a whole number of at least 1 or, without warm-up, a starting point cannot be used.
         Interrupted
             If the run was stopped on request.
+        TooManyFailuresError
+            If `too_many_failed` returned a message.
         """
         target = self._drawn + whole_number("draws", draws, 1)
         self._advance(DRAWS, target)
@@ -164,7 +167,7 @@ class Run:
     def report_end(self) -> None:
         """Send a last progress report for each group, with the diagnostics on which the verdict is based.
 
-        Nothing is sent if there are too few draws for diagnostics.
+        Nothing is sent if there are fewer than 20 steps, or if `progress` or `live` is not given.
         """
         if self._watch is not None:
             self._watch.end(self._common(DRAWS))
@@ -180,7 +183,7 @@ class Run:
         return [_RunningGroup(i, each, GroupState.at(*start, first_chain=i * each)) for i, start in starts]
 
     def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
-        """Restore the last saved state of a group, if there is one."""
+        """Restore a group's last saved state, if there is one. Raise ValueError if the density has changed."""
         kept = checkpointer.kept(group.index)
         if kept is None:
             return
@@ -194,7 +197,7 @@ class Run:
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
 
     def _advance(self, phase: str, target: int) -> None:
-        """Advance every group until it has taken `target` steps of a phase."""
+        """Take `target` steps of a phase with every group; raise Interrupted or TooManyFailuresError otherwise."""
         behind = [group for group in self._groups if group.state.done[phase] < target]
         if not behind:
             return
@@ -253,7 +256,7 @@ class Run:
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
     def _keep(self, group: _RunningGroup, phase: str, target: int, *, at_once: bool) -> None:
-        """Save a group if `at_once` is True or the checkpointer says that a save is due."""
+        """Save a group's new steps, if any, when `at_once` is True or the checkpointer says that a save is due."""
         first, stop = group.pending[phase], group.state.done[phase]
         if self._keeper is None or stop == first:
             return
@@ -322,7 +325,8 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
     Raises
     ------
     ValueError
-        If `groups` does not divide the number of chains, or the sampler does not allow this number of groups.
+        If `groups` is less than 1 or does not divide the number of chains, or if the sampler does not allow this
+        number of groups.
     """
     if groups is None:
         return chains if sampler.walkers > 1 else 1
@@ -375,7 +379,7 @@ class _Watch:
     def end(self, draws: FloatArray) -> None:
         """Repeat the last report of each group, with the diagnostics on which the verdict is based.
 
-        Nothing is reported if there are too few draws for diagnostics.
+        Nothing is reported if there are fewer than `_ENOUGH` steps, or no function that computes diagnostics.
         """
         if self._live is None or draws.shape[1] < _ENOUGH:
             return
@@ -384,7 +388,10 @@ class _Watch:
             self._progress(DRAWS, done, total, {**info, **self._words})
 
     def look(self, draws: FloatArray) -> None:
-        """Update the diagnostics of the draws so far, but spend at most a fiftieth of the run time on them."""
+        """Update the diagnostics of the draws so far, unless they are fewer than `_ENOUGH` per chain.
+
+        At most a fiftieth of the run time is spent on them.
+        """
         began = time.monotonic()
         if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
             return

@@ -39,8 +39,8 @@ def starting_points(
     Raises
     ------
     ValueError
-        If `init` is none of these, the density lacks ``sample_prior`` or ``start``, or a starting point is outside
-        the bounds.
+        If `init` is none of these or has the wrong shape, the density lacks ``sample_prior`` or ``start``, or a
+        starting point is not finite or is outside the bounds.
     """
     shape = (chains, scaled.ndim) if walkers == 1 else (chains, walkers, scaled.ndim)
     word = init if isinstance(init, str) else None

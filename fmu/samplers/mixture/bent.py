@@ -95,8 +95,9 @@ def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, flo
     """Return the best mixture for weighted points, and its penalised mean log-likelihood.
 
     The points x have shape (n, ndim) and their weights shape (n,). The fit begins with one Gaussian and repeatedly
-    splits every Gaussian across its longest axis, until this no longer improves the fit. Raise LinAlgError if
-    there are too few points for one Gaussian.
+    splits every Gaussian across its longest axis. It ends when two splits in a row bring no gain, or when the next
+    mixture would have more than `MOST` Gaussians or too few points for each. Raise LinAlgError if there are too
+    few points for one Gaussian.
     """
     ndim, weight = x.shape[1], weight / weight.sum()
     size = 1.0 / float(np.sum(weight**2))

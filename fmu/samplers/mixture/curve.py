@@ -230,8 +230,9 @@ def fit_infinite_margins(
 ) -> tuple[FloatArray, FloatArray]:
     """Return beta shape parameters a and b, each (ndim,), of the coordinates whose density is infinite at a bound.
 
-    Both are NaN for all other coordinates. A shape parameter below 1 means that the density is infinite at that
-    bound. Uniform and exponential margins have 1.
+    Both are NaN for all other coordinates, for coordinates without two finite bounds, and everywhere if there are
+    at most `_ENOUGH` effective points. A shape parameter below 1 means that the density is infinite at that bound;
+    uniform and exponential margins have 1. Here a density counts as infinite only if the parameter is below 0.8.
     """
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):
@@ -245,12 +246,12 @@ def fit_infinite_margins(
 
 
 def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
-    """Return the exponent a of a distribution whose CDF grows as t^a near t = 0.
+    """Return the exponent a of a distribution whose CDF grows as t^a near t = 0; inf if the points used coincide.
 
-    Only the tenth of the points nearest to 0 is used. A beta distribution fitted to all points would also have a
-    shape parameter below 1 if the density is finite but falls steeply away from the bound. The estimate is the
-    maximum-likelihood exponent of a power law up to the farthest of these points (Hill 1975, *Annals of
-    Statistics* 3, 1163–1174).
+    Only the points nearest to 0 are used, with a tenth of the weight. A beta distribution fitted to all points
+    would also have a shape parameter below 1 if the density is finite but falls steeply away from the bound. The
+    estimate is the maximum-likelihood exponent of a power law up to the farthest of these points (Hill 1975,
+    *Annals of Statistics* 3, 1163–1174).
     """
     order = np.argsort(t)
     below = order[: np.searchsorted(np.cumsum(weight[order]), _NEAREST * weight.sum()) + 1]

@@ -53,7 +53,7 @@ def cut_largest(log_w: FloatArray) -> FloatArray:
 def even_out(log_w: FloatArray, least: float, power: float) -> FloatArray:
     """Flatten log-weights (n,) by multiplying them by `power` until their ESS is at least `least`.
 
-    `power` is below 1; the multiplication is repeated as often as needed, or not at all.
+    `power` is below 1, and `least` below n. The multiplication is repeated as often as needed, or not at all.
     """
     while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
         log_w = power * log_w
@@ -66,5 +66,5 @@ def effective_size(log_w: FloatArray) -> float:
 
 
 def resample(rng: np.random.Generator, u: FloatArray, log_w: FloatArray, n: int) -> FloatArray:
-    """Resample `n` of the points u with probabilities proportional to their weights; shape (n, ndim)."""
+    """Draw `n` of the points u with replacement, with probabilities proportional to their weights; (n, ndim)."""
     return np.asarray(u[rng.choice(len(u), n, p=np.exp(log_w - logsumexp(log_w)))])

@@ -44,10 +44,10 @@ class MixtureSampler(Sampler):
     Parameters
     ----------
     components : sequence of Quadratic, or CurvedMixture, optional
-        Components from which the fit begins, in scaled units. `fmu.sample` passes the posterior's maxima with
-        their curvatures. By default the first components are fitted to the draws of local steps, which take up to
-        half of the warm-up. If the density turns out to be curved, hollow or infinite at a bound, warm-up fits a
-        `CurvedMixture` instead.
+        Components from which the fit begins, in scaled units or, if `bent` is given, in the transformed
+        coordinates. `fmu.sample` passes the posterior's maxima with their curvatures. By default the first
+        components are fitted to the draws of local steps, which take up to half of the warm-up. If the density
+        turns out to be curved, hollow or infinite at a bound, warm-up fits a `CurvedMixture` instead.
     weights : vector, optional
         Weights of the components; equal by default.
     bent : vector of bool, optional
@@ -69,7 +69,8 @@ class MixtureSampler(Sampler):
     Raises
     ------
     ValueError
-        If a setting is out of range, or `adapt` is False and there are no components.
+        If a setting is out of range, the number of weights differs from the number of components, or `adapt` is
+        False and there are no components.
 
     References
     ----------

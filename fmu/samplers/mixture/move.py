@@ -101,6 +101,8 @@ class MixtureMove(Move):
     ) -> tuple[FloatArray, FloatArray]:
         """Return candidates x* for the walkers x, and the log acceptance factors log q(x)/q(x*).
 
+        If no mixture can be fitted to the other walkers, the candidates and factors are emcee's stretch moves.
+
         Parameters
         ----------
         s, c : ndarray, shape (n, ndim), (m, ndim)
@@ -124,7 +126,10 @@ class MixtureMove(Move):
         return q, proposal.log_density(s) - proposal.log_density(q)
 
     def tune(self, state: State, accepted: BoolArray) -> None:
-        """Add the last step to the points of the next fit; emcee calls this method if ``tune=True``."""
+        """Record the last step and, after 10, 20, 40, ... steps, fit the mixture to the later half of all steps.
+
+        emcee calls this method if ``tune=True``. If a fit fails, the earlier mixture is kept.
+        """
         self._seen.append((state.coords.copy(), state.log_prob.copy()))
         steps = len(self._seen)
         doublings = np.log2(steps / _FIRST_FIT)
@@ -156,8 +161,9 @@ class Proposal:
     ) -> Proposal | None:
         """Fit a proposal to points (n, ndim); return None if they are too few or do not span the space.
 
-        A coordinate with two finite bounds is scaled by the distance between them; any other coordinate is scaled
-        by the standard deviation of the points.
+        Points with a log-probability far below the median are left out. A coordinate with two finite bounds is
+        scaled by the distance between them; any other coordinate is scaled by the standard deviation of the
+        points.
         """
         ndim = position.shape[1]
         near = np.isfinite(log_prob)

@@ -88,7 +88,7 @@ class Mixture:
         return cls(quadratics, arrays["weights"], warp, float(arrays["wide"]))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the mixture, keyed by name, with one row per component.
+        """Return the arrays that define the mixture, keyed by name, most of them with one row per component.
 
         A component without a fitted covariance has NaN.
         """
@@ -245,7 +245,7 @@ def _effective_size(weight: FloatArray) -> FloatArray:
 
 
 def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> Mixture:
-    """Fit a mixture to a log-density, or return `start` if cross-validation on few points shows no gain.
+    """Fit a mixture to a log-density, or return `start` if the fit is not known to be better.
 
     A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
     few, a fit to either half must therefore suit the other half better than `start` does. If `is_known`, and

@@ -145,7 +145,8 @@ def _mean_of_cut_normal(a: float, b: float) -> float:
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return log(Φ(b) − Φ(a)), the log of a standard normal's mass in [a, b], elementwise.
 
-    The result is accurate even in the tails, where the difference would cancel.
+    The result is accurate even in the tails, where the difference would cancel. It is -inf or NaN where the mass
+    vanishes in floating-point arithmetic.
     """
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)

@@ -32,7 +32,7 @@ class Points(NamedTuple):
     likelihood_gradient: FloatArray | None = None
 
     def each(self, change: Callable[..., FloatArray], *others: Points) -> Points:
-        """Return points whose arrays are the results of `change`.
+        """Return points whose arrays are the results of `change`; an array that is None stays None.
 
         `change` is called with each array of these points and the corresponding arrays of `others`.
         """
@@ -65,14 +65,14 @@ class PriorAndLikelihood:
     Parameters
     ----------
     density : LogDensity
-        A density with ``log_prior``, ``log_likelihood`` and ``sample_prior``, and with ``log_prior_and_grad`` if
-        gradients are needed; or its scaled view.
+        A density with ``log_prior``, ``log_likelihood`` and ``sample_prior`` and, if gradients are needed, with
+        ``log_prior_and_grad`` and ``log_prob_and_grad``; or its scaled view.
     with_gradients : bool
 
     Raises
     ------
     ValueError
-        If the density lacks one of these methods.
+        If the density lacks one of these methods. ``log_prob_and_grad`` is not checked.
     """
 
     def __init__(self, density: LogDensity, with_gradients: bool) -> None:
@@ -87,7 +87,10 @@ class PriorAndLikelihood:
         self.solves_each = Target(density).solves_per_gradient if with_gradients else 1  # solves per point
 
     def points(self, u: FloatArray) -> Points:
-        """Evaluate priors, likelihoods and, if needed, gradients at u (n, ndim) in one batch."""
+        """Evaluate priors, likelihoods and, if needed, gradients at u (n, ndim) in one batch.
+
+        Log-likelihoods that are not finite become −inf.
+        """
         theta = u if self.scaled is None else self.scaled.to_theta(u)
         if not self.with_gradients:
             return Points(u, self.density.log_prior(theta), _replace_failures(self.density.log_likelihood(theta)))
@@ -99,7 +102,7 @@ class PriorAndLikelihood:
         )
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws from the prior in the samplers' coordinates, shape (n, ndim)."""
+        """Return `n` draws from the prior in the samplers' coordinates, clipped to the bounds, shape (n, ndim)."""
         theta = np.asarray(self.density.sample_prior(rng, n), dtype=float)
         u = theta if self.scaled is None else self.scaled.to_scaled(theta)
         return np.clip(u, self.given.lower, self.given.upper)

@@ -28,8 +28,10 @@ class TemperingKernel:
       at the prior since then, otherwise 0;
     - ``n_steps``, (): the number of steps taken.
 
-    The extra statistics of the Info include ``round_trips``. `Info.parts` contains the diagnostics of the
-    replicas' steps. Its leading axis has length (rungs − 1) · chains, in order of the rungs above the prior.
+    The extra statistics of the Info are ``n_nonfinite``, ``round_trips``, ``diverging`` at the posterior's rung if
+    the kernels give it and, if `records` is True, the log-likelihoods at all rungs. `Info.parts` contains the
+    diagnostics of the replicas' steps. Its leading axis has length (rungs − 1) · chains, in order of the rungs
+    above the prior.
     """
 
     parts: PriorAndLikelihood
@@ -40,7 +42,10 @@ class TemperingKernel:
     _joined: dict[int, LocalKernel] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Place all replicas of a chain at its starting point, at one solve per chain."""
+        """Place all replicas of a chain at its starting point, at one evaluation per chain.
+
+        Raise ValueError if a gradient that the kernels need is not finite.
+        """
         points, rungs, chains = self.parts.points(positions), len(self.temperatures), len(positions)
         gradient = points.gradient(np.ones(chains))
         log_prob = points.log_prob(np.ones(chains))
@@ -53,7 +58,10 @@ class TemperingKernel:
         return state, Info(np.zeros(chains, dtype=bool), log_prob, solves, gradients)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw from the prior, move the replicas at the other rungs, and swap replicas."""
+        """Draw from the prior, move the replicas at the other rungs, and swap replicas every `swap_every` steps.
+
+        If the number of rungs has changed, each rung first takes the replica whose relative rank is nearest.
+        """
         old, heading, n_steps = replicas_of(state), state.extra["heading"], int(state.extra["n_steps"]) + 1
         rungs = len(self.temperatures)
         if len(heading) != rungs:  # the ladder has changed: a rung takes the replica whose rank is nearest

@@ -121,7 +121,7 @@ class Tempering(Sampler):
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
         """Return a tuner that learns the ladder and the kernels' settings in `steps` warm-up steps.
 
-        Return None if both are given.
+        Return None if the ladder is given and the kernel has nothing to learn.
         """
         learns = not self._is_by_rung and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
@@ -137,7 +137,7 @@ class Tempering(Sampler):
 
 
 class LadderTuner:
-    """Tuner of the ladder and of the kernel at each rung.
+    """Tuner of the ladder, unless it is given, and of the kernel at each rung, if the kernel learns anything.
 
     The ladder changes between the stages of warm-up. Each rung above the prior has its own tuner, which learns
     from the replicas at that rung and is restarted in every stage. The last stage, half of warm-up, already uses
@@ -220,7 +220,10 @@ class LadderTuner:
 
 
 def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return inverse temperatures in ascending order; raise ValueError unless they differ and run from 0 to 1."""
+    """Return inverse temperatures in ascending order.
+
+    Raise ValueError unless they are distinct, run from 0 to 1 and include both.
+    """
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
         raise ValueError(f"{name}: must be distinct inverse temperatures from 0 to 1, with both (got {value!r})")
@@ -235,7 +238,8 @@ def first_ladder(rungs: int | None) -> FloatArray:
 def stages(steps: int) -> list[int]:
     """Return the lengths of the warm-up stages in steps. The ladder changes from stage to stage.
 
-    Each stage but the first is about as long as all previous stages together.
+    Each stage but the first is about as long as all previous stages together. With fewer than 40 steps there is
+    one stage, so the ladder does not change.
     """
     lengths = []
     while steps >= 2 * _SHORTEST:
@@ -271,7 +275,7 @@ def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | N
     rejection : ndarray, shape (rungs − 1,)
     rungs : int, optional
         Number of rungs. By default it is chosen from the barrier such that half of all swaps are expected to
-        succeed.
+        succeed, from `FEWEST` to `MOST`.
     """
     from scipy.interpolate import PchipInterpolator
 

@@ -1,4 +1,4 @@
-"""Warm-up of the mixture sampler, which chooses steps, fits the mixture, and searches for missed maxima.
+"""Warm-up of the mixture sampler: it fits the mixture, searches for missed maxima, and chooses the kind of steps.
 
 Reading order: `local_draws`, `unknown_maxima`, `rounds`; then `tuner`.
 """

@@ -32,13 +32,16 @@ class Evaluated(NamedTuple):
         return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
 
     def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
-        """Return these points followed by the given ones. Their gradients are NaN if `slope` is None."""
+        """Return these points followed by the given ones, whose gradients are NaN if `slope` is None."""
         more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
 def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
     """Fit a mixture to the later half of the local draws, with one initial component per group of chains.
+
+    Draws far below their chain's median log-density, and chains that have hardly moved, are left out. If no chain
+    has moved, all chains form one group.
 
     Parameters
     ----------

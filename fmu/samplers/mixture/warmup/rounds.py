@@ -13,7 +13,7 @@ from fmu.samplers.mixture.importance import cut_largest, even_out, sum_densities
 from fmu.types import FloatArray
 
 PER_ROUND = 2000
-"""Number of candidates in a round."""
+"""Largest number of candidates in a round."""
 ENOUGH = 0.45
 """Efficiency that makes further rounds unnecessary if two successive rounds reach it."""
 _TWICE = 2
@@ -79,7 +79,7 @@ class Rounds:
         return self.log_prob - sum_densities(self._by_mixture, self.counts)
 
     def fit_mixture(self) -> CurvedMixture:
-        """Fit a mixture to all candidates; raise LinAlgError if they do not span the space.
+        """Fit a mixture to all candidates; raise LinAlgError if they are too few or do not span the space.
 
         If a few candidates have nearly all the weight, the weights are raised to a power below 1. The mixture is
         then wider than the density, so that the next round covers it better.
@@ -94,7 +94,8 @@ class Rounds:
 
         The value is 1/E[2/a(x) − 1], where a(x) is the acceptance rate of candidates at x and x follows the
         density (Liu 1996, Statistics and Computing 6, 113-119). The points x are resampled by weight from all
-        rounds' candidates, so a mixture that misses a region covered by another mixture is rated as poor.
+        rounds' candidates, so a mixture that misses a region covered by another mixture is rated as poor. The
+        value is 0 if no candidate of round k has a finite log-density.
         """
         first, own = int(sum(self.found[:k])), self.found[k]
         if not own:
@@ -113,7 +114,8 @@ def learn_in_rounds(
 ) -> tuple[CurvedMixture | None, float, int]:
     """Fit a curved mixture in rounds; return the best one, its efficiency, and the number of evaluations.
 
-    The efficiency is the effective sample size per candidate. The mixture is None if no round was drawn.
+    The efficiency is the effective sample size per candidate. The mixture is None, with efficiency 0, if no round
+    was drawn, because `most` is below `_FEWEST` or the points `u` do not give a first mixture.
 
     Parameters
     ----------

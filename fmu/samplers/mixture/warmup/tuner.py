@@ -22,7 +22,7 @@ from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, IntArray, LogDensity
 
 _LOCAL_PART = 0.5
-"""Fraction of the warm-up that consists of local steps if no components are given."""
+"""Largest fraction of the warm-up that consists of local steps if no components are given."""
 _FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Fractions of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
@@ -64,7 +64,7 @@ class MixtureTuner:
 
     If most chains rarely accept candidates, a `CurvedMixture` is fitted in rounds, once there are enough local
     draws. It replaces the mixture if it is efficient enough. It is also tried if the density is infinite at a
-    bound or has heavy tails.
+    bound or has heavy tails. If at least half of all steps are local anyway, neither is done.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class MixtureTuner:
 
         Missed maxima are searched for before the fit, because candidates near them would spoil it, and again after
         it, because a fit may lose a maximum. Return the number of evaluations that this took, shape (chains,), or
-        None if there was nothing to fit. See Cornuet et al. 2012.
+        None if the mixture is curved or no candidate has a finite log-density. See Cornuet et al. 2012.
         """
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
@@ -262,8 +262,9 @@ class MixtureTuner:
         """Make most steps local if some chain rarely accepts candidates, until all chains often accept them.
 
         Fit a curved mixture if most chains rarely accept candidates, or if the density is infinite at a bound or
-        has heavy tails, provided that there are enough local draws. Return the number of evaluations that this
-        took, shape (chains,), or None if it took none.
+        has heavy tails, provided that there are enough local draws. Do nothing if there were too few candidates
+        since the last fit, or at least half of the steps are local by choice. Return the number of evaluations
+        that this took, shape (chains,), or None if it took none.
         """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
             return None
@@ -290,7 +291,7 @@ class MixtureTuner:
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return finite candidates and their weights; None if none, or if the components were given or curved."""
+        """Return the weighted finite candidates; None without any, for a curved mixture, or if `bent` is given."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or self.sampler.bent is not None or not known.any():
@@ -298,7 +299,7 @@ class MixtureTuner:
         return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
 
     def _is_infinite(self, points: Points | None) -> bool:
-        """Return True if the candidates show that the density is infinite at a bound."""
+        """Return True if the candidates show that the density is infinite at a bound; False without candidates."""
         if points is None:
             return False
         shapes = fit_infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
@@ -308,7 +309,7 @@ class MixtureTuner:
         """Return True if the density has one maximum and tails too heavy for a good fit by Gaussians.
 
         The weights P/q of Gaussian candidates are then unbounded, and the standard error of an evidence computed
-        from these weights is wrong.
+        from these weights is wrong. Return False without candidates or without local draws before the first fit.
         """
         mixture = self.gaussians
         if points is None or mixture is None or not len(self.visited.log_prob):

@@ -51,7 +51,7 @@ class Seen(NamedTuple):
 
 
 class NewMaximum(NamedTuple):
-    """A maximum as a quadratic in unwarped coordinates, and its mass relative to the mixture's."""
+    """A maximum as a quadratic in unwarped coordinates, and its mass relative to the mixture's, from e⁻⁵ to 1."""
 
     quadratic: Quadratic
     mass: float
@@ -65,6 +65,9 @@ def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[l
     positions come first, because a chain at a low maximum without a component would hardly leave it. Any other
     point must have a log-density close to the chains'. Its log w must also be well above the median when q
     combines all mixtures so far, so that a maximum already known to be minor is not climbed again.
+
+    A summit is a missed maximum if its log w is well above the median, too. At most `_CHECKED` points are checked,
+    none once the mixture has `MOST` components.
     """
     u, log_prob, log_q, n, _ = seen
     is_chain = seen.is_chain
@@ -117,7 +120,7 @@ class _Counted:
         self.target, self.n_solves = target, 0
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return the log-densities at points u (n, ndim), shape (n,); -inf outside the bounds."""
+        """Return the log-densities at points u (n, ndim), shape (n,); -inf outside the bounds or if not finite."""
         found = self.target.evaluate(u)
         self.n_solves += int(found.n_solves.sum())
         return found.log_prob
