@@ -293,7 +293,7 @@ class HamiltonianKernel(LocalKernel):
     max_bounces: int
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw momenta and follow one trajectory per chain; accept or reject its end. The state needs a gradient."""
+        """Draw momenta, follow one trajectory per chain, and accept or reject its end."""
         if state.gradient is None:
             raise ValueError("state: must carry the gradient at its position (got None)")
         chains = len(state.position)

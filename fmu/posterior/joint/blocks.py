@@ -150,8 +150,9 @@ class BlockForm:
     def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
         """Maximise the log-density over scores and `columns` with Levenberg–Marquardt steps.
 
-        Return the maximum, theta (ndim,), and the Hessian there. The diagonal is damped as in
-        `fmu.posterior.ascent.ascend`.
+        Return the highest point found, theta (ndim,), and the Hessian there. The search ends when the predicted
+        gain is below `tolerance`, after `most_steps` steps, or when the damping becomes too large. The diagonal is
+        damped as in `fmu.posterior.ascent.ascend`.
         """
         damping = np.asarray(FIRST_DAMPING)
         value, of_main, of_scores = self.gradient(theta)

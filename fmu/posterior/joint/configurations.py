@@ -26,10 +26,13 @@ from fmu.types import FloatArray
 def stack_tests(tests: Sequence[Test]) -> ModalData:
     """Return one `ModalData` with the modes of all tests, labelled ``"test: mode"``.
 
+    It has shapes only if all tests have shapes at the same sensors, and their standard deviations only if all
+    tests have them.
+
     Raises
     ------
     ValueError
-        If only some of the tests have frequency standard deviations or a covariance matrix.
+        If only some of the tests with a mode in use have frequency standard deviations or a covariance matrix.
     """
     every = _alike([test.data for test in tests])
     sd = covariance = None
@@ -87,7 +90,9 @@ def find_configurations(
 ) -> tuple[list[Configuration], Any]:
     """Return the configurations, each with its trained model, as a list, and the reduced model's tolerance.
 
-    The first `of_model` structural parameters are parameters of the model.
+    The first `of_model` structural parameters are parameters of the model. Raise TestsError if a test has changes
+    or known values and the model has no matrices, if they do not fit the model, or if tests in one configuration
+    contradict each other.
     """
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
@@ -137,8 +142,8 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
     """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
 
     Frequencies and shapes are means over the tests, and standard deviations the smallest over the tests. There are
-    no shapes unless every mode has one. Raise TestsError if the tests contradict each other on a mode's number, or
-    if a mode lacks a counterpart that other modes have.
+    no shapes unless every mode has one, and no standard deviations unless every mode has one. Raise TestsError if
+    the tests contradict each other on a mode's number, or if a mode lacks a counterpart that other modes have.
     """
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]

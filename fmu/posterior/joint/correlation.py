@@ -117,7 +117,10 @@ class Correlation:
         return np.einsum("nij,nkij->nk", 2.0 * by_R @ L, slopes)
 
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
-        """Return the partial correlations, (p (p − 1) / 2,), of scores with the given second moments (p, p)."""
+        """Return the partial correlations, (p (p − 1) / 2,), of scores with the given second moments (p, p).
+
+        They are clipped to ±`_START`.
+        """
         return np.clip(partial_correlations(np.linalg.cholesky(second_moments)), -_START, _START)
 
     @cached_property
@@ -133,7 +136,10 @@ class Correlation:
         return [(here, tests) for here, tests in found if len(here) > 1]
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, list[Any]]:
-        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and the list of `_blocks`."""
+        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and the list of `_blocks`.
+
+        The result for the last correlations is cached.
+        """
         rho = theta[:, self.columns]
         if not np.array_equal(self._last.get("rho", ()), rho):
             L, slopes = self._factors(rho)

@@ -23,11 +23,11 @@ class DamageTarget:
     Attributes
     ----------
     of : str or sequence of str
-        Names of the parameters that may have lost stiffness. If the problem has several tests
+        Names of the parameters, such as stiffnesses, that may have been reduced. If the problem has several tests
         (`fmu.JointProblem`), they must vary by `Damage` or by group, and the loss is the one in the planned test's
         group. If it has one test, the loss occurs between this test and the planned one.
     beyond : float
-        The relative loss that matters, such as 0.1; it must be less than 0.5.
+        The relative loss that matters, such as 0.1; between 0 and 0.5.
     prior : Prior, optional
         Prior of each loss, for a problem with one test; defaults to the prior of `Damage`.
     """
@@ -38,7 +38,7 @@ class DamageTarget:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters that may have lost stiffness."""
+        """Names of the parameters that may have been reduced."""
         return tuple(as_list(self.of))
 
     def parameters(self, problem: UpdatingProblem) -> list[Parameter]:
@@ -47,8 +47,8 @@ class DamageTarget:
         Raises
         ------
         ValueError
-            If no parameter of that name can have a loss, a name occurs twice, or a prior is given for a problem
-            with several tests.
+            If there is no name, a parameter of that name cannot have a loss, a name occurs twice, or a prior is
+            given for a problem with several tests.
         """
         several = len(problem.tests) > 1
         known = problem.layout.by_state if several else problem.names[: problem.n_structural]

@@ -107,7 +107,8 @@ def JointProblem(  # capitalised because it constructs a problem
     Raises
     ------
     TestsError
-        If the tests or another argument are wrong, or contradict each other; the error lists every fault.
+        If the tests or another argument are wrong, or contradict each other; the error lists all faults that can
+        be found before the models are built.
     ValueError
         If soft pairing or the modal residual is requested, or as raised by `UpdatingProblem`.
     """

@@ -33,7 +33,7 @@ class Layout:
         The structural parameters, as for a single test.
     parameters : tuple of Parameter
         The inferred parameters: shared parameters, parameters of each test or group, means, standard deviations,
-        losses, slopes and correlations; then the scores.
+        losses, slopes and other main parameters; then the scores.
     tests : tuple of Test
     values_of : tuple of InTests
         For each structural parameter, its values in all tests as a function of theta.
@@ -150,7 +150,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def losses_by_test(self, theta: FloatArray) -> FloatArray:
-        """Return the losses in each test for the parameters in `by_date`, shape (n, n_tests, n_by_date)."""
+        """Return the losses of the parameters in `by_date` (at least one), shape (n, n_tests, n_by_date)."""
         of = [
             value_of.losses(theta, 0)
             for parameter, value_of in zip(self.structural, self.values_of, strict=True)
@@ -159,7 +159,7 @@ class Layout:
         return np.stack(of, axis=2)
 
     def correlations(self, theta: FloatArray) -> FloatArray:
-        """Return the populations' correlation matrices at theta, shape (n, n_populations, n_populations)."""
+        """Return the populations' correlation matrices (I if independent), (n, n_populations, n_populations)."""
         if self.correlation is None:
             return np.tile(np.eye(len(self.drawn)), (len(theta), 1, 1))
         factor = self.correlation.factor(theta)
@@ -330,7 +330,7 @@ class Layout:
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the gradient of `log_prior`, (n, ndim). `independent` is the one for independent parameters."""
+        """Change a gradient for independent parameters, (n, ndim), to the gradient of `log_prior`; return it."""
         gradient = independent
         for one in self._centred:
             by_score, by_centre, by_width = one.log_prior(theta)[1]
@@ -353,7 +353,7 @@ class Layout:
     def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
         """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`.
 
-        `independent` is −∇² of the log-density for independent parameters, in the same units.
+        `independent`, −∇² of the log-density for independent parameters in the same units, is overwritten.
         """
         curvature = independent
         for one in self._centred:
@@ -373,7 +373,7 @@ class Layout:
         return curvature
 
     def draw_from_prior(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Convert draws of independent parameters, theta (n, ndim), to draws from the prior."""
+        """Convert draws of independent parameters, theta (n, ndim), to prior draws. `theta` may be overwritten."""
         if self.density_of_scores is not None:
             z = self.draw_scores(theta, rng, len(self.tests))
             z = z if self.outliers is None else z * self.outliers.draw_from_prior(rng, theta)
@@ -390,7 +390,7 @@ class Layout:
         return found
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) with its standard normal scores converted to this layout's centring."""
+        """Return theta (n, ndim) with its standard normal scores converted to this layout's centring."""
         for one in self._centred:
             theta = one.restore_scores(theta)
         return theta

@@ -110,7 +110,8 @@ class Test:
         Raises
         ------
         ValueError
-            If the table is invalid; the message lists every error with its line and column.
+            If the table is invalid (the message lists every error with its line and column), `labels` is empty, or
+            an option is invalid.
         FileNotFoundError
             If the file does not exist.
         """

@@ -74,8 +74,8 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
 
     Let C be a value's variance given its own test alone, and σ² the population's variance. The best weight for the
     centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, because a centred form
-    has its funnel there. As the information on log σ is 2 Σ w², this σ is taken as σ exp(−2/√(2 Σ w²)). If σ may
-    be zero, no score is centred.
+    has its funnel there. As the information on log σ is 2 Σ w², this σ is taken as σ exp(−2/√(2 Σ w²)). The scores
+    of a population whose σ may be zero are not centred.
 
     Parameters
     ----------
@@ -143,7 +143,10 @@ def _weights(layout: Layout, theta: FloatArray) -> FloatArray:
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
-    """Set the populations' correlations in `theta` from the scores' second moments. These include `variance`."""
+    """Set the populations' correlations in `theta` from the scores' second moments. These include `variance`.
+
+    Only tests with a score in every population are used. With fewer than two of them, `theta` is not changed.
+    """
     correlation: Any = layout.correlation
     found = [one.population_scores(theta[None]) for one in layout.drawn]
     z = np.stack([z[0] for z, _ in found], axis=1)
@@ -159,9 +162,10 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 def _most_probable(
     problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray, of_tests: FloatArray
 ) -> float:
-    """Set a population's centre and widths in `theta` from its values; return the largest change in widths.
+    """Set a population's centre and widths in `theta` from its values, and its scores so that the values stay.
 
-    `of_tests`, shape (n_tests,), weights the tests.
+    Return the largest change of the centre or a width, relative to the width. `of_tests`, shape (n_tests,),
+    weights the tests.
     """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]

@@ -27,7 +27,7 @@ from fmu.types import FloatArray
 
 _HALVINGS = 30
 _BENT = 0.1
-"""Smallest coefficient of a parabola that is taken into account."""
+"""Ridges are taken as straight if no coefficient of a parabola exceeds this value."""
 _DRAWS = 400
 """Number of draws whose mean is the second typical point."""
 _FARTHEST = 1.5
@@ -60,6 +60,7 @@ class Conditionals(NamedTuple):
     populations : PopulationsGivenValues
     walks : WalksGivenValues, optional
         Steps for all populations, if the candidates of `populations` are missing or rarely accepted for some.
+        None if values are correlated in time.
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
@@ -98,9 +99,11 @@ def scatter_about_typical(
     """Return `n` starting points about the typical point of a hierarchical posterior, shape (n, ndim).
 
     Main parameters are drawn from their fitted normal distribution and scores from their normal approximations,
-    both widened by the factor `dispersion`. A point is accepted if it is inside the bounds, its density is finite,
-    and its main parameters are about as probable as draws from that distribution. Otherwise it is moved halfway
-    to the typical point, repeatedly.
+    both widened by the factor `dispersion`. Correlation times are drawn from their priors, and dates of sudden
+    losses are proposed by `DateOfEvent`. A point is accepted if it is inside the bounds, its density is finite,
+    and its main parameters are about as probable as draws from that distribution. Otherwise it is moved halfway to
+    the typical point, repeatedly. After `_HALVINGS` rejections it is the typical point, with the drawn times and
+    dates.
     """
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores

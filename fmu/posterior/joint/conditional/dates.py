@@ -110,9 +110,10 @@ class DateOfEvent:
         Returns
         -------
         theta : ndarray, shape (n, ndim)
-            A copy with the proposed date and losses.
+            A copy with the proposed date and losses, or with the old ones if the new ones are outside the bounds.
         log_ratio : ndarray, shape (n,)
-            Proposal log-density of the old values minus the proposal log-density of the new values.
+            Proposal log-density of the old values minus the proposal log-density of the new values; −∞ outside the
+            bounds.
         """
         known, rows, found = self._given_date(given, theta, scales), np.arange(len(theta)), theta.copy()
         at = np.argmax(known.weight + rng.gumbel(size=known.weight.shape), axis=1)
@@ -127,7 +128,7 @@ class DateOfEvent:
         return np.where(inside[:, None], found, theta), ratio
 
     def likeliest(self, given: ScoresGivenMain, theta: FloatArray) -> FloatArray:
-        """Return theta (1, ndim) with the most probable date and losses."""
+        """Return theta (1, ndim) with the most probable date and losses, the losses clipped to their bounds."""
         known, found = self._given_date(given, theta, REGULAR), theta.copy()
         at = int(np.argmax(known.weight[0] - np.log(self._widths)))
         found[0, self.date] = self._middles[at]

@@ -69,7 +69,8 @@ class Expansion(NamedTuple):
         """Return factors, (n, n_tests, 1), that adapt slope and information to the error sds `noise` (n, n_noise).
 
         A test's factor is the ratio of the error variance at the expansion point to the current error variance,
-        averaged over the test's errors. It is exact if all errors in the test have the same standard deviation.
+        averaged over the test's errors. It is exact if all errors in the test have the same standard deviation. It
+        is 1 for a test without modes and, with shape (1, 1, 1), if no error sd is inferred.
         """
         if not noise.shape[1]:
             return np.ones((1, 1, 1))

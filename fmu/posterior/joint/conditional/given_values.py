@@ -31,9 +31,9 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import BoolArray, FloatArray
 
 _FEWEST = 2
-"""Number of tests of a population that is too small for candidates."""
+"""Largest number of tests with which a population is too small for candidates."""
 _TESTS = 4
-"""Smallest number of tests for correlated populations: with fewer, the prior rejects nearly all candidates."""
+"""Tests needed per correlated population: with fewer, the prior rejects nearly all candidates."""
 
 
 class Candidates(NamedTuple):
@@ -42,11 +42,13 @@ class Candidates(NamedTuple):
     Attributes
     ----------
     main : ndarray, shape (n, n_blocks, m)
-        Centres, standard deviations and partial correlations in each block of populations.
+        Centres, standard deviations and partial correlations in each block of populations; the current values
+        where `log_ratio` is −∞.
     z : ndarray, shape (n, n_tests, n_blocks, p)
         Scores; meaningless where a test has no score.
     log_ratio : ndarray, shape (n, n_blocks)
-        Log acceptance ratio of each block; −∞ where the bounds have an influence.
+        Log acceptance ratio of each block; −∞ where the bounds of the values have an influence, or a proposed
+        parameter is outside its own bounds.
     """
 
     main: FloatArray

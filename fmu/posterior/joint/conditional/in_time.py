@@ -63,13 +63,15 @@ class _Fit(NamedTuple):
 def move_in_time(
     rng: np.random.Generator, theta: FloatArray, layout: Layout, parameters: Sequence[Parameter]
 ) -> FloatArray:
-    """Return theta (n, ndim) after one step in μ, s and T for each population that is correlated in time.
+    """Return theta (n, ndim) after `N_STEPS` steps in μ, s and T for each population that is correlated in time.
+
+    Populations with a standard deviation in each group, or with fewer than three tests, are skipped.
 
     Parameters
     ----------
     rng : Generator
     theta : ndarray, shape (n, ndim)
-        Points with standard normal scores. The step also changes the scores, so that the parameter values in the
+        Points with standard normal scores. The steps also change the scores, so that the parameter values in the
         tests stay the same.
     layout : Layout
         A layout with standard normal scores.

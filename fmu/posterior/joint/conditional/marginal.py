@@ -97,7 +97,7 @@ class MarginalOfMain:
         return self._to_w(theta[:, self.columns])
 
     def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with the main parameters set from w (n, d) and the scores unchanged."""
+        """Return a copy of theta with the main parameters set from w (n, d), clipped to the bounds."""
         main = self._offset + self._scale * w
         main[:, self._widths] = self._units * np.sinh(w[:, self._widths])
         main[:, self._partial] = np.tanh(w[:, self._partial])

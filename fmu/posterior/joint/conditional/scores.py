@@ -255,7 +255,8 @@ class ScoresGivenMain:
     def linearise(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Linear:
         """Linearise the parameter values in the scores, at the main parameters in theta (n, ndim).
 
-        `scales` is as in `Linear`.
+        The centre is the scores, limited to ±`_FAR`, whose values are nearest to the values at the expansion
+        point. `scales` is as in `Linear`.
         """
         numbers, scored, noise = (
             self.scores.parameters,
@@ -309,7 +310,8 @@ class ScoresGivenMain:
         ----------
         theta : ndarray, shape (n, ndim)
         r, J : ndarray, shapes (n, n_residuals) and (n, n_residuals, n_structural)
-            Residuals at theta, over standard deviations, and their derivatives by the values in their tests.
+            Residuals at theta, divided by their standard deviations, and their derivatives with respect to the
+            parameter values in their tests.
         test : ndarray of int, shape (n_residuals,)
             Index of each residual's test.
         scales : ndarray

@@ -35,7 +35,10 @@ _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
 
 
 def times_of(by: str, tests: Sequence[Test]) -> FloatArray:
-    """Return the test times, shape (n_tests,): the covariate `by`, or 1, 2, … in test order if `by` is empty."""
+    """Return the test times, shape (n_tests,): the covariate `by`, or 1, 2, … in test order if `by` is empty.
+
+    Every test must have the covariate as a number.
+    """
     if not by:
         return np.arange(1.0, len(tests) + 1.0)
     return np.array([test.covariates[by] for test in tests], dtype=float)
@@ -105,7 +108,8 @@ class InTime:
     ) -> InTime:
         """Return the population's scores as a process in time, after adding T to theta if it is inferred.
 
-        The arguments are as in `Population`.
+        `how` and `by` are the arguments `correlation_time` and `by` of `Population`; the other arguments are as in
+        `Varies.in_tests`.
         """
         times = times_of(by, theta.tests)[list(here)]
         order = np.argsort(times, kind="stable")
@@ -132,7 +136,8 @@ class InTime:
         """Take one random-walk step in log T; return the new theta and the log-ratio of the priors, shape (n,).
 
         The ratio includes the Jacobian of log T. The step sizes are random, so that they suit both a precisely and
-        a poorly known T.
+        a poorly known T. A step out of the bounds leaves theta unchanged, with the ratio −∞. If T is known, theta
+        is returned with zeros.
         """
         column, n = self.column, len(theta)
         if column is None:
@@ -204,7 +209,8 @@ class InTime:
         """Return a further test's score (n,), given its innovation e (n,) and the other tests' scores z (n, m).
 
         `covariates` gives its time; by default it follows the last test after the median time between tests. If it
-        lies between two tests, its score depends on the scores of both.
+        lies between two tests, its score depends on the scores of both. At the time of a test, it has that test's
+        score.
         """
         time = covariates.get(self.by, float(self.times[-1] + np.median(np.diff(self.times))))
         k = int(np.searchsorted(self.times, time))

@@ -116,7 +116,7 @@ class InTests:
 
     @property
     def base(self) -> InTests:
-        """The parameter without its trends and losses, or the parameter itself if it has none."""
+        """The parameter without trends, losses and group effects, or the parameter itself if it has none."""
         return self
 
     @property
@@ -133,7 +133,7 @@ class InTests:
         raise NotImplementedError
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
+        """Return limits that the values exceed rarely or never, (n_tests,) each, for given limits of theta."""
         raise NotImplementedError
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
@@ -271,7 +271,7 @@ class Theta:
         Raises
         ------
         ValueError
-            If theta already has a parameter with this name that differs in its prior or role.
+            If theta already has another parameter with this name, or the same parameter in another role.
         """
         same = [k for k, other in enumerate(self.main) if other.name == parameter.name]
         if not same:

@@ -210,7 +210,7 @@ class Drawn(InTests):
         return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
+        """Return limits that the parameter's values rarely exceed, (n_tests,) each, for given limits of theta."""
         pairs = ((-_FAR, lower[self.centre]), (_FAR, upper[self.centre]))
         low, high = (self.family.values(np.array(z), centre, upper[self.widths])[0] for z, centre in pairs)
         return low, high

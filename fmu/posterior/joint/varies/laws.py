@@ -181,7 +181,10 @@ class PiecewiseLinear(Law):
         return () if isinstance(self.kinks, Prior) else tuple(map(float, self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return error messages about kinks outside the range of the covariate in the tests."""
+        """Return error messages about kinks outside the range of the covariate in the tests.
+
+        The prior of an inferred kink must have some of its probability in this range.
+        """
         rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
         if self._prior_of_kink is not None:
             without = not np.isfinite(self._prior_of_kink.log_mass(low, high))

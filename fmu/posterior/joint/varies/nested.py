@@ -92,7 +92,7 @@ class Nested(Multiplied):
         return self.of.identity(test), int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
+        """Return limits that the parameter's values rarely exceed, (n_tests,) each, for given limits of theta."""
         # s and u_g are rarely both near their limits
         effects = 0.5 * upper[self.width] * np.stack([lower[self.columns], upper[self.columns]])
         ends = np.stack(self.of.box(lower, upper))

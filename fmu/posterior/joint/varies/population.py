@@ -102,7 +102,10 @@ class Population(Varies):
         return list(dict.fromkeys(found))
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
-        """Add the centre, the width and a score per test in `here` to theta; return the values in the tests."""
+        """Add the population's parameters and a score per test in `here` to theta; return the values in the tests.
+
+        Raise ValueError as `parameters` does.
+        """
         within = self._within_groups(p, of, theta, here)
         if self.between is None:
             return within

@@ -67,7 +67,7 @@ class Trend(Multiplied):
         return self.of.identity(test), *(covariate.identity(test) for _, covariate in self.effects)
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
+        """Return limits that the parameter's values rarely exceed, (n_tests,) each, for given limits of theta."""
         low, high = self.of.box(lower, upper)
         factors = np.ones((2, len(low)))
         for effect, covariate in self.effects:

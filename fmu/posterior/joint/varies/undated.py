@@ -38,9 +38,9 @@ class UndatedDamage(Varies):
     Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
     linearly from τ on, and d is the loss in the last test.
 
-    The date is uniform a priori between the first test and the last, or the last but one for growing damage. A
-    loss near zero means no damage; the date then has its prior distribution. Change points with a uniform prior
-    are treated in Carlin, Gelfand & Smith 1992, *J. R. Stat. Soc. C* 41, 389–405.
+    The date lies between the first test and the last, or the last but one for growing damage. A loss near zero
+    means no damage; the date then has its prior distribution. Change points with a uniform prior are treated in
+    Carlin, Gelfand & Smith 1992, *J. R. Stat. Soc. C* 41, 389–405.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class UndatedDamage(Varies):
     grows : bool
         Whether the loss grows linearly from the date on.
     date : Prior, optional
-        Prior of the date, in the time unit.
+        Prior of the date, in the time unit; uniform by default.
     event : str
         Name of the event. Parameters with the same event have the same date. The date is named
         ``"day of damage"`` after the time and the event, or ``"test of damage"`` if test numbers serve as time.
@@ -117,7 +117,10 @@ class UndatedDamage(Varies):
         return float(times[0]), float(times[-2 if self.grows else -1])
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
-        """Add the undamaged value, the loss and the date to theta; return the values in the tests."""
+        """Add the undamaged value, the loss and the date to theta; return the values in the tests.
+
+        Raise ValueError if another parameter with the same event has another date prior or another growth.
+        """
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, SHARED)
         loss = theta.add(loss_parameter(f"{p.name} loss", self.prior), "loss", of, self.event)
         times = self.times(theta.tests)
