@@ -10,7 +10,10 @@ from pathlib import Path
 
 @contextmanager
 def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
-    """Create an output directory for a block. Remove it if the block fails before anything is written to it."""
+    """Create an output directory for a block. Remove it if the block fails before anything is written to it.
+
+    Raise ValueError if the directory cannot be written to, or exists with results and `overwrite` is False.
+    """
     if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
         from fmu.config.kept import ORIGIN
         from fmu.runs.run_directory import FOLDER
@@ -34,7 +37,7 @@ def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
 
 
 def _is_left_empty(directory: Path) -> bool:
-    """Return True if a directory contains only the files of a run that was killed in its first seconds."""
+    """Return True if a directory contains nothing but the files of a run that was killed in its first seconds."""
     from fmu.runs.lock import FILE, LOCK, PHASE
 
     if directory.is_symlink() or not directory.is_dir():

@@ -59,7 +59,10 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
 
 
 def build_problem(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
-    """Build the problem from its file. If an engine is given, its workers train the reduced model."""
+    """Build the problem from its file. If an engine is given, its workers train the reduced model.
+
+    A message is printed first if standard error is a terminal.
+    """
     if sys.stderr.isatty():  # a large structure takes minutes, once
         click.echo(f"Preparing {problem.file.name} …", err=True)
     return problem.load(engine)

@@ -274,7 +274,7 @@ def _read_order(context: click.Context, case: str | None, pairing: str | None, o
 def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
     """Return the problem and options of the run in a directory.
 
-    Raise BadParameter if an option that must not change has changed.
+    Raise BadParameter if an option that must not change is given, or there is no run that can be resumed.
     """
     from fmu.runs.run_directory import folder_of_order
 

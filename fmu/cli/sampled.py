@@ -63,6 +63,10 @@ def sample_problem(
     ------
     StoppedRun
         If Ctrl-C or SIGTERM stopped a sampler. The draws made until then are written too.
+    TooManyFailuresError
+        If a larger fraction of a sampler's solves failed than allowed.
+    OSError
+        If a file cannot be written.
     """
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
@@ -222,7 +226,10 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Orders) -> int:
-    """Print the evidences, the comparison and the model verdict; write the comparison; return the exit code."""
+    """Print the comparison, losses, evidences and certificates; write the comparison; return the exit code.
+
+    The code is 0 if the number of draws was given, or all samplers and the surrogate meet their criteria.
+    """
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences

@@ -35,7 +35,8 @@ _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 def _in_a_file(annotation: object) -> object:
     """Return the TOML type for an error model argument, such as a list of numbers for an array.
 
-    An inferred standard deviation (a Parameter argument) is given in the file by name.
+    An inferred standard deviation (a Parameter argument) is given in the file by name. An argument of any other
+    type has the same type in the file, with lists for tuples.
     """
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
@@ -98,7 +99,7 @@ def build_error_models(
 
 
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return the error models with each place name replaced by its model node."""
+    """Return the error models with each place name replaced by its model node. Models of modes have no places."""
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 

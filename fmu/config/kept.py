@@ -71,7 +71,7 @@ class KeptProblem:
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
         """Return the updating problem. If `engine` is given, its workers train the reduced model.
 
-        Raise ConfigurationError if the problem cannot be built.
+        Raise ConfigurationError if the problem cannot be built, and FileNotFoundError if its file is missing.
         """
         from fmu import config
 

@@ -191,7 +191,10 @@ class MeasurementTable(TomlTable):
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list with an error if a frequency uncertainty is needed but missing, otherwise []."""
+        """Return a list with an error if a frequency uncertainty is needed but missing, otherwise [].
+
+        Only ``frequencies`` in the problem file are judged here; `build` judges the other sources.
+        """
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
@@ -264,7 +267,11 @@ class MeasurementTable(TomlTable):
         return np.asarray(matrix.toarray())
 
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
-        """Return the modes with sensors and shapes rotated to the model's axes, unless already parallel."""
+        """Return the modes with sensors and shapes rotated to the model's axes, unless already parallel.
+
+        Rotated shapes lose their standard deviations. Raise BrokenError if shapes cannot be rotated, or if
+        `test_shapes` have standard deviations.
+        """
         if points is None or points.is_parallel:
             return modes
         if self.test_shapes is not None and modes.shapes_sd is not None:

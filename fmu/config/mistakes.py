@@ -53,7 +53,7 @@ class ConfigurationError(ValueError):
     ----------
     source : str
         Name of the file.
-    errors : tuple of ArgumentError
+    mistakes : tuple of ArgumentError
         All errors found in the file.
     """
 

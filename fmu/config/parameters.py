@@ -310,6 +310,8 @@ def build_parameters(
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
     """Return the parameters, keyed by name in file order, and the errors found in their tables.
 
+    A table that cannot be built gives no parameter.
+
     Parameters
     ----------
     key : str

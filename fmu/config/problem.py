@@ -226,7 +226,7 @@ class ProblemFile(TomlTable):
     def plan_options(self, source: str, folder: Path) -> dict[str, Any]:
         """Return the arguments for `fmu.plan` from the ``[plan]`` table, or the defaults if there is none.
 
-        Raise ConfigurationError under the same conditions as `build`.
+        Raise ConfigurationError if the model cannot be built.
         """
         try:
             return (self.plan or PlanTable()).options(self.model.build(folder, self.structural))
@@ -343,7 +343,7 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Build the measured data, without their uncertainty if `beta` replaces it."""
+        """Build the measured data, without uncertainty if `beta` replaces it. Raise BrokenError on failure."""
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number
             try:

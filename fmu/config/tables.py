@@ -139,7 +139,10 @@ def one_length(what: str) -> AfterValidator:
 
 @contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Within a ``with`` block, raise file reading errors as a BrokenError at the key `where`."""
+    """Within a ``with`` block, raise file reading errors as a BrokenError at the key `where`.
+
+    These are errors in modes and FRFs, and missing or unreadable files and libraries; other errors pass.
+    """
     try:
         yield
     except ModesError as error:

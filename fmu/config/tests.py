@@ -59,7 +59,7 @@ CovariateValue = Annotated[
 
 
 def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
-    """Return a covariate as `fmu.Test` takes it: a number, a prior, or None if it is missing."""
+    """Return a covariate in the form that `fmu.Test` accepts: a number, a prior, or None if it is missing."""
     found: float | Prior | None = None if given == "missing" else build_value(given)
     return found
 

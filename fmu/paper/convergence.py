@@ -197,7 +197,7 @@ def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
 
 
 def lengths_up_to(total: int, growth: float, first: int) -> IntArray:
-    """Return integers from `first` to `total` that increase by a factor of about `growth`."""
+    """Return integers from `first` to `total` that increase by a factor of about `growth`; at least `total`."""
     if total <= first:
         return np.array([total])
     count = int(np.ceil(np.log(total / first) / np.log(growth))) + 1

@@ -182,7 +182,7 @@ def computed_errata(
 
 
 def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for each mode in section 5.1 whose number denotes another mode at the starting point."""
+    """Yield an erratum for each mode in section 5.1 whose number belongs to another mode at the starting point."""
     experiment = EXPERIMENTS[YOUNG]
     start = experiment.columns["initial"]
     numbers = by_number.data.numbers
@@ -206,9 +206,9 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
 
 
 def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[Erratum]:
-    """Yield an erratum for each mode number that denotes different physical modes at different parameter values.
+    """Yield an erratum for each mode number that belongs to different physical modes within the parameter bounds.
 
-    The parameter values are within the bounds.
+    A physical mode counts if it has the number at 0.05 % of the points or more.
     """
     experiment = EXPERIMENTS[case]
     everywhere = spectrum.shares_over_the_box(problem, points)
@@ -259,7 +259,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for each printed frequency that contradicts the printed error beside it."""
+    """Yield an erratum for each misprinted frequency, which contradicts the printed error beside it."""
     experiment = EXPERIMENTS[case]
     for column in experiment.columns.values():
         for i, meant in column.corrected_frequencies.items():

@@ -205,7 +205,10 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return the fraction of about 2000 draws at which each combination of physical modes is paired."""
+    """Return the fraction of draws at which each combination of physical modes is paired.
+
+    Every k-th draw is examined, at least 2000 in all if there are as many.
+    """
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -322,7 +325,7 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
 
 class OneStart(NamedTuple):
-    """Length, convergence and error of a run whose chains all have the same starting vector.
+    """The length, convergence and error of a run in which all chains start from the same vector.
 
     Attributes
     ----------
@@ -333,7 +336,7 @@ class OneStart(NamedTuple):
     off : float
         The largest distance between a posterior mean and the reference, in posterior standard deviations.
     reasons : tuple of str
-        Why the run has not converged.
+        Why the run has not converged; empty if it has.
     """
 
     chains: int
@@ -345,7 +348,7 @@ class OneStart(NamedTuple):
 
 
 def one_start(result: Result) -> OneStart:
-    """Return length, convergence and error of the run whose chains all have the same starting vector."""
+    """Return the length, convergence and error of the run in which all chains start from the same vector."""
     trace = result.one_start
     of_run = compare_runs({"hmc": trace})
     table = of_run.summaries["hmc"]

@@ -229,7 +229,7 @@ def judge(findings: Findings) -> list[Judgement]:
     """Judge the paper's statements on one experiment by every criterion that the paper may have meant.
 
     If only one of two samplers' long runs converged, that sampler is the better one. If both converged, the
-    numbers in the cost table are compared.
+    numbers in the cost table are compared. If neither did, the statement cannot be judged.
     """
     return [
         Judgement(f"{SHORT[a]} {verb} {SHORT[b]}", criterion, *_decide(findings, a, b, column))
@@ -257,7 +257,10 @@ def _decide(findings: Findings, better: str, worse: str, column: str) -> tuple[s
 
 
 def statement(findings: Findings) -> str:
-    """Return a paragraph on the most efficient samplers and on how well the converged samplers agree."""
+    """Return a paragraph on the most efficient samplers and on how well the converged samplers agree.
+
+    If no sampler converged, the paragraph says only this.
+    """
     heading = f"**Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}.** "
     samplers = list(findings.comparison.index)
     ranked = sorted(filter(findings.is_converged, samplers), key=lambda s: -findings.value(s, "ess_per_solve"))

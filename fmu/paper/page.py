@@ -264,7 +264,7 @@ def one_start(findings: Findings) -> str:
 
 
 def fit(findings: Findings) -> str:
-    """Return the list of warnings about the model from the first converged run."""
+    """Return the list of warnings about the model from the first converged run, or a sentence without any."""
     for name in ("hmc", "emcee", "mixture", "mh", "slice"):
         if findings.is_converged(name):
             listed = "".join(f"- {warning}.\n" for warning in findings.warnings[name])
@@ -323,7 +323,7 @@ def _count(value: Any) -> Any:
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return a setting in words: numbers by their values, arrays by their shapes."""
+    """Return a setting in words: numbers by their values, arrays by their shapes. Other values are left out."""
     table, several, number = mapping_in(value), list_in(value), number_in(value)
     if table is not None:
         return [words for key, item in table.items() for words in _brief(key, item)]

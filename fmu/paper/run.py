@@ -151,7 +151,7 @@ def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
 
 
 def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path) -> None:
-    """Write README.md, errata.md, the recomputed frequencies and the study with a vector β, below `stage`."""
+    """Write README.md, errata.md, the recomputed frequencies and the pages on both studies, below `stage`."""
     from fmu import cases
 
     by_number, by_shape = (

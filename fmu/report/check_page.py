@@ -67,7 +67,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
     Raises
     ------
     ValueError
-        If the page would overwrite a file that fmu did not write.
+        If the page would overwrite a file that fmu did not write, or `directory` is a file.
     """
     output = OutputDirectory(directory)
     name = f"{INDEX}.html"
@@ -78,7 +78,11 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 
 def check_page(found: Check) -> Page:
-    """Return the page for a check: verdicts, structure, modes, prior predictions, identifiability and gradient."""
+    """Return the page for a check.
+
+    It has verdicts, the structure, modes, sensors, FRFs, prior predictions, identifiability and gradient. The
+    sections on sensors, FRFs and identifiability are left out if the check has none.
+    """
     sections = [_model(found), _modes(found), *_sensors(found), *_responses(found), _prior(found)]
     if found.identifiability is not None:
         sections.append(_identifiability(found.identifiability))
@@ -204,7 +208,10 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return the section on measured frequency response functions, as a list; empty if there are none."""
+    """Return the section on measured frequency response functions, as a list; empty if there are none.
+
+    At most `MOST_DRAWN` functions are plotted; the table lists all.
+    """
     if found.frfs is None:
         return []
     table = found.frfs.table().reset_index()

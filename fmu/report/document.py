@@ -88,7 +88,12 @@ class PageTable(_Part):
     words : tuple of int
         Indices of text columns, which are left-aligned like the first column.
     greyed : tuple of int
-        Indices of the rows shown in grey: parameters that the data did not inform.
+        Indices of the rows shown in grey, such as parameters that the data did not inform.
+
+    Raises
+    ------
+    ValueError
+        If a row is not as long as the header.
     """
 
     kind: ClassVar[str] = "table"
@@ -235,7 +240,7 @@ class PageSection:
 
     @property
     def has_figure_beside(self) -> bool:
-        """Whether the last part is a narrow figure that fits beside the other parts on a desktop screen."""
+        """Whether the last part is a narrow figure, and the other parts fit beside it and fill the space."""
         *others, last = self.parts
         is_filled = any(part.fills_desk for part in others)
         return last.is_narrow_figure and is_filled and all(part.fits_beside for part in others)

@@ -118,7 +118,7 @@ def export(
         The output directory, the exported files, the sampler used and warnings. The exported files are:
 
         ``theta.csv``: each parameter's unit, start value, posterior mean, posterior standard deviation and
-        exported value, in SI units, and what determined the value: the data, the prior or a combination.
+        exported value, in SI units, and, if the trace shows it, whether the data, the prior or both determined it.
 
         ``updated.toml``: the problem file with the exported values as start values and its original comments. The
         files that it names are copied beside it.
@@ -139,8 +139,8 @@ def export(
     ------
     ValueError
         If the directory contains no traces, or no trace from `sampler`; if `at` is unknown, or is ``"map"`` and
-        the run found no maxima; if the problem is not the one that was sampled; or if the export would overwrite
-        files that fmu did not write.
+        the run found no maxima; if the problem is not the one that was sampled; if a template cannot be filled; or
+        if the export would overwrite files that fmu did not write.
     """
     directory = Path(run_directory)
     if at not in AT:
@@ -186,8 +186,8 @@ def export(
 def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     """Return the inferred quantity that is exported as the value of each structural parameter.
 
-    The dict is keyed by parameter name. The quantity is the parameter itself, its population's mean or median, or
-    its value in the first test or group.
+    The dict is keyed by parameter name. The quantity is one of `names`: the parameter itself, its population's
+    mean or median, or its value in the first test or group.
     """
     found = {}
     for parameter in parameters:
@@ -198,7 +198,10 @@ def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, st
 
 
 def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return the name, trace and diagnosis of `sampler`; if it is None, `choose_run` selects the sampler."""
+    """Return the name, trace and diagnosis of `sampler`; if it is None, `choose_run` selects the sampler.
+
+    Raise ValueError if the directory has no traces, or none of this sampler.
+    """
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
@@ -215,7 +218,8 @@ def read_problem(directory: Path, trace: xr.DataTree, model: Path | None = None)
     Raises
     ------
     ValueError
-        If a file has changed, so that the problem is not the one that was sampled.
+        If a file has changed, so that the problem is not the one that was sampled; or if the run has no problem
+        file and `model` is None.
     """
     source = read_saved(directory, model)
     problem = source.load()
@@ -286,7 +290,7 @@ def _values(trace: xr.DataTree, theta: FloatArray, found: Information | None) ->
 def _remarks(
     problem: UpdatingProblem, trace: xr.DataTree, theta: FloatArray, at: str, diagnosis: Diagnosis
 ) -> list[str]:
-    """Return warnings if the chains have not converged, or if the mean lies outside the bulk of the posterior."""
+    """Return warnings if the chains have not converged, or if an exported mean is outside most of the draws."""
     remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
     if at == "mean":
         lp = array_of(trace, "sample_stats", "lp")
@@ -350,7 +354,7 @@ def write_matrices(
 def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, float], target: Path) -> set[str]:
     """Write input decks from templates, and return the names in `values` that no template uses.
 
-    `fmu.formats.decks` describes the templates.
+    `fmu.formats.decks` describes the templates. A deck is named ``updated-…`` if its name is taken.
     """
     unused = set(values)
     for template in templates:
@@ -368,7 +372,8 @@ def dof_table(model: SeparableModel, places: Mapping[str, Hashable]) -> pd.DataF
     """Return a data frame that names the degree of freedom in each matrix row.
 
     Its columns are ``row`` (counted from 1), ``node``, ``place`` (the node's name, empty if it has none) and
-    ``direction``; if the geometry is known, also the node's coordinates ``x``, ``y``, ``z`` in m.
+    ``direction``; if the geometry is known, also the node's coordinates ``x``, ``y``, ``z`` in m, which are NaN
+    for a node outside the geometry.
     """
     import pandas as pd
 

@@ -84,7 +84,8 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
     dict
         The key ``pairs`` with a dict of ``panels``, n² of them, as in `figure_data` but without series; parameter
         ``names`` and ``units``; ``columns``, each parameter's draws in its unit; and ``modes``, each with its
-        ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency, in Hz.
+        ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency, in Hz; empty if the trace
+        has no frequencies. Only every k-th draw is returned, so that there are at most 12 000 values.
     """
     units = [unit_of(trace, name) for name in names]
     draws = [

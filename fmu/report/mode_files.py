@@ -31,8 +31,8 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     ``modes.vtu`` contains the mesh and the displacements in each updated mode and in each measured mode. Measured
     modes are expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode. If pyuff is
     installed, ``updated.uff`` contains nodes, elements and updated modes, and ``measured.uff`` the sensors and the
-    measured modes, as datasets 2411, 2412 and 55. Nothing is written if the model has no geometry or there are
-    several tests.
+    measured modes, if shapes were measured, as datasets 2411, 2412 and 55. Nothing is written if the model is no
+    structure with a geometry, or there are several tests.
 
     Returns
     -------
@@ -99,7 +99,8 @@ def _expand_shapes(
 ) -> tuple[Expanded | None, list[str]]:
     """Expand the measured shapes to all degrees of freedom; return them and a list of warnings.
 
-    The first item is None if no shapes were measured or if the expansion fails.
+    The first item is None if no shapes were measured or if the expansion fails. A warning lists the modes of which
+    the expansion keeps less than `_KEPT`.
     """
     data = problem.data
     if data.shapes is None:

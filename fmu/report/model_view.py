@@ -138,7 +138,10 @@ def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
 
 
 def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, object]]:
-    """Return two colour scales: the largest parameter change in each element, and its standard deviation."""
+    """Return two colour scales: the largest parameter change in each element, and its standard deviation.
+
+    The list is empty if no change of a parameter is known.
+    """
     known = _changes(run)
     ratio, spread = (np.array([known.get(name, (np.nan,) * 2)[k] for name in names]) for k in (0, 1))
     of_element = np.where(found.changed & np.isfinite(ratio), np.abs(ratio), -1.0)
@@ -153,7 +156,7 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return a dict that describes a colour scale for `values`, one fraction per element.
+    """Return a dict that describes a colour scale for `values`, one fraction per element, NaN if it has none.
 
     The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
     """
@@ -163,7 +166,10 @@ def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return a dict of texts for each mode: its label, and its frequencies (before, after, measured)."""
+    """Return a dict of texts for each mode: its label, and its frequencies (before, after, measured).
+
+    The measured frequency is empty if the trace has none.
+    """
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []
     for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
@@ -176,7 +182,8 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
     """Return displacements (mode, node, direction) as a dict: before updating, at the posterior mean, measured.
 
-    The measured shapes are expanded to all nodes; they are omitted for large meshes.
+    The measured shapes are expanded to all nodes. They are omitted if there are none, or more than `_DETAILED`
+    nodes.
     """
     bits = 16 if modes.sizes["node"] <= _DETAILED else 8
     moved = modes["displacement"].transpose("state", "mode", "node", "direction")
@@ -190,7 +197,8 @@ def _shapes(modes: xr.Dataset) -> dict[str, object]:
 def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
     """Return a dict with the sensor positions and the measured displacements at the sensors.
 
-    If no shapes were measured, the dict contains the sensor directions and their nearest nodes instead.
+    If no shapes were measured, or `modes` is None, the dict contains the sensor directions and the nearest nodes
+    instead.
     """
     if modes is not None and "measured" in modes and "site" in modes:
         seen = [measured_at(modes.isel(mode=k)) for k in range(modes.sizes["mode"])]
@@ -205,7 +213,10 @@ def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
 
 
 def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
-    """Return the azimuth and elevation in rad from which the motion of a straight structure can be seen."""
+    """Return the azimuth and elevation in rad of the view: across the motion of a straight horizontal structure.
+
+    Any other structure is seen from a corner.
+    """
     wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
     moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))
     if wide.sum() == 1 and not wide[2]:

@@ -27,7 +27,8 @@ class Rounded:
     values : ndarray
         The numbers; entries that are not finite are missing values.
     bits : {8, 16}
-        Bits per number. The rounding error is at most 1/508 or 1/131 068 of the range.
+        Bits per number. The rounding error is at most 1/252 or 1/65 532 of the range. Small whole numbers stay
+        exact.
     """
 
     values: AnyArray
@@ -40,7 +41,8 @@ def pack(content: object) -> str:
     Parameters
     ----------
     content : mapping, sequence, str, number, None, ndarray or `Rounded`
-        Float arrays with more than 32 entries are rounded to 16 bits. ``data.js`` reads arrays as flat arrays.
+        Float arrays with more than 32 entries are rounded to 16 bits, and other floats to seven digits. NaN and
+        infinity become missing values. ``data.js`` reads arrays as flat arrays.
     """
     arrays: list[bytes] = []
     text = json.dumps(_plain(content, arrays), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()

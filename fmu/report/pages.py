@@ -92,7 +92,7 @@ def _dates(runs: Iterable[ReportedRun]) -> str:
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
-    """Return the sections to show, followed by a section that lists each omitted section with the reason."""
+    """Return the sections to show, followed by a section with the reason for each omitted section, if any."""
     found = tuple(found)
     sections = tuple(section for part in found for section in part.shown)
     omitted = tuple(sentence for part in found for sentence in part.omissions)
@@ -181,7 +181,10 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
 
 
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:
-    """Write the report on traces in memory, as `write_report` does; return the path to its index page."""
+    """Write the report on traces in memory, as `write_report` does; return the path to its index page.
+
+    Raise ValueError if this would overwrite files that fmu did not write, or for traces that `runs_of` rejects.
+    """
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])
     with output.stage_files() as stage:
@@ -242,6 +245,11 @@ def publish_models(
         The page is ``report/index.html`` in this directory.
     others : mapping of str to str
         Addresses of the models' own pages, relative to this page.
+
+    Raises
+    ------
+    ValueError
+        If the page would overwrite a file that fmu did not write.
     """
     first = next(iter(traces.values()))
     sections = (models.comparison(found), models.held_out(traces), models.misfit(traces), models.intervals(traces))
@@ -280,7 +288,7 @@ def render(page: Page) -> str:
 
 
 def prose(text: str) -> Markup:
-    """Return a text as escaped HTML. Words between backticks are formatted as code."""
+    """Return a text as escaped HTML. Words between backticks are formatted as code if all backticks are paired."""
     parts = str(text).split("`")
     if len(parts) % 2 == 0:  # an unpaired backtick is part of a name
         return escape(text)

@@ -31,15 +31,16 @@ class ReportedRun:
     name : str
         The trace's key in the mapping given to `runs_of`.
     trace : xarray.DataTree
+        Without the scores of populations.
     summary : pandas.DataFrame
         The result of ``fmu.summary(trace)``.
     diagnosis : Diagnosis
     costs : pandas.Series
         This run's row in the result of ``fmu.compare``.
     maxima : Maxima or None
-        The maxima stored in the trace.
+        The maxima stored in the trace; None if there are none.
     prediction : pandas.DataFrame or None
-        The result of ``predict_frequencies(trace)``; None if the trace has no frequencies.
+        The result of ``predict_frequencies(trace)``; None if the trace has no computed or no measured frequencies.
     """
 
     name: str

@@ -40,7 +40,8 @@ _STRAIGHT = re.compile(r"[\dMLz eE.+-]*")
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     """Return a figure as an SVG element with selectable text, unique ids and without a style sheet.
 
-    The ids begin with `key`; `alt` describes the figure for readers who cannot see it.
+    The ids begin with `key`; `alt` describes the figure for readers who cannot see it. The layout engine is run
+    and removed from the figure.
 
     Raises
     ------

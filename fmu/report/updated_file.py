@@ -26,6 +26,8 @@ def updated_text(
 ) -> tuple[str, list[str]]:
     """Return a problem file with new start values, and the strings in it that may be file names.
 
+    These are the strings with a point or a colon in them.
+
     Parameters
     ----------
     text : str
@@ -60,6 +62,8 @@ def updated_text(
 
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
     """Copy the files that a problem file names, so that the updated problem file is complete.
+
+    Files that are read with them (`read_beside`) are copied too; files outside the folder `source` are not.
 
     Returns
     -------

@@ -56,7 +56,7 @@ class Identity:
         return cls(held["configuration"], held["versions"])
 
     def check(self, directory: Path) -> None:
-        """Raise ValueError if the directory contains another run.
+        """Raise ValueError if the directory contains another run, or the same run with other package versions.
 
         A damaged identity file is ignored, because every saved state also contains the hash of its run.
         """

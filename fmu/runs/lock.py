@@ -84,7 +84,7 @@ class DirectoryLock:
 
 
 def announce(directory: Path) -> None:
-    """Write a note that this process is running in a directory, unless the disk is full."""
+    """Write a note that this process is running in a directory. Errors such as a full disk are ignored."""
     pid = os.getpid()
     here = ProcessInfo(socket.gethostname(), pid, time.time(), _birth(pid))
     with suppress(OSError):
@@ -119,7 +119,10 @@ class PhaseNote:
         self._noted = ("", 0.0)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Write a phase's progress to the note, at most twice a second. Remove the note if `phase` is empty."""
+        """Write a phase's progress to the note. Remove the note if `phase` is empty.
+
+        A new phase is written at once, and its progress at most twice a second. Errors in writing are ignored.
+        """
         now = time.monotonic()
         name, at = self._noted
         if name == phase and now < at + _NOTED_S:

@@ -26,7 +26,10 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> No
 
 
 def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | None = None) -> Maxima | None:
-    """Return the saved maxima, or None if the file is missing or damaged, or belongs to a different posterior."""
+    """Return the saved maxima, or None if the file is missing or damaged.
+
+    If `problem` is given, also return None if the maxima belong to a different posterior.
+    """
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.trace.netcdf import from_netcdf
 

@@ -98,7 +98,10 @@ class Predictions:
 def open_predictions(
     directory: Path, measured: Sequence[str], found: Sequence[str], draws: str
 ) -> Iterator[Predictions]:
-    """Yield a run's predictions. Within the block, no other process can read or write them."""
+    """Yield a run's predictions. Within the block, no other process can read or write them.
+
+    Raise ValueError if another process has used them for a minute, or as `Predictions` does.
+    """
     try:
         with FileLock(directory / f".{FILE}.lock", timeout=_WAIT_S):
             yield Predictions(directory, measured, found, draws)

@@ -149,7 +149,10 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """The data in a step file that diagnostics need: accepted moves, all moves, and draws (None in warm-up)."""
+    """What the diagnostics need from a step file: the numbers of accepted and of all moves, and the draws.
+
+    The draws are None in warm-up.
+    """
 
     accepted: int
     moves: int
@@ -223,7 +226,7 @@ class GroupReader:
 
 
 def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Progress:
-    """Combine the progress of a sampler's chain groups."""
+    """Combine the progress of a sampler's chain groups. The result is empty if no group has saved anything yet."""
     begun = [group for group in groups if group.phase]
     if not begun:
         return Progress()
@@ -290,7 +293,7 @@ def _per_s(solves: int, seconds: float) -> float:
 def _diagnostics(kept: Sequence[KeptGroup | None]) -> dict[str, float]:
     """Return R-hat and effective sample size, computed from the steps that all groups have.
 
-    The dict is empty if there are too few steps.
+    The dict is empty if a group has no readable draws, or fewer than 20 steps.
     """
     draws = [one.draws for one in kept if one is not None and one.draws is not None]
     steps = min((x.shape[1] for x in draws), default=0)

@@ -92,6 +92,11 @@ class Store:
     def kept(self, group: int) -> SavedGroup | None:
         """Return a group in its newest undamaged state, or None if there is no such state.
 
+        Raises
+        ------
+        ValueError
+            If the state belongs to another run, or an earlier version of fmu wrote it.
+
         Warns
         -----
         CheckpointWarning
@@ -184,7 +189,8 @@ class _GroupFiles:
     def last_intact(self, configuration: str) -> SavedState | None:
         """Return the newest state that is undamaged and whose step files are undamaged, or None if there is none.
 
-        Later calls of `append` continue from this state.
+        Later calls of `append` continue from this state. Each damaged file causes a CheckpointWarning. Raise
+        ValueError if a state belongs to another run or was written by an earlier version of fmu.
         """
         states = numbered_files(self.directory, "state")
         self._number = states[-1][0] if states else 0

@@ -93,7 +93,10 @@ class WatchServer(ThreadingHTTPServer):
         self.address = f"http://{shown}:{self.server_port}/{self._token}/"
 
     def reading(self) -> RunReading:
-        """Return the run's state, at most `every` seconds old. Raise ValueError if the directory is gone."""
+        """Return the run's state, at most `every` seconds old while the server is open.
+
+        Raise ValueError if the directory is gone.
+        """
         with self._lock:
             if not self.closing.is_set() and time.monotonic() - self._read_at >= self.every:
                 self._reading = self._reader.read()
@@ -104,7 +107,7 @@ class WatchServer(ThreadingHTTPServer):
         """Send SIGTERM to the run's process. Return the reason if this failed, or an empty string.
 
         The process is taken from a new reading of the directory, or from the last one if another thread is reading
-        and does not finish within `_PATIENCE` seconds.
+        and does not finish within `_PATIENCE` seconds. Raise ValueError if the directory is gone.
         """
         reading = self._reading
         if self._lock.acquire(timeout=_PATIENCE):

@@ -36,7 +36,10 @@ class FRFsInFile(NamedTuple):
 
     @classmethod
     def of(cls, errors: Sequence[Declared], tests: Sequence[TestTable] | None) -> Self | None:
-        """Return the first table for frequency response functions and its files, or None if there is no table."""
+        """Return the first table for frequency response functions and its files, or None if there is no table.
+
+        With several tests, the files are those named in ``[[tests]]``.
+        """
         for i, table in enumerate(errors):
             if isinstance(table, FRFTable):
                 own = [FRFFile(f"error.{i}.data", table.data)] if table.data is not None else []
@@ -54,7 +57,7 @@ class FRFsInFile(NamedTuple):
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
         """Return the errors found in the keys ``data``.
 
-        Each test needs this key unless there are other error models.
+        Each test needs this key, or at least one test if there are other error models.
         """
         where = f"error.{self.number}.data"
         if tests is None:
@@ -71,9 +74,10 @@ class FRFsInFile(NamedTuple):
         ]
 
     def place(self, mistake: ArgumentError, errors: Sequence[ErrorModel]) -> ArgumentError:
-        """Return an FRF error found during the build, moved to the problem file's key for the FRF file.
+        """Return an error in FRF data under the key that names the FRF file in the problem file.
 
-        The key of `mistake` is ``data…``, or ``error.i.data…`` where i is an index in `errors`.
+        The key of `mistake` is ``data…``, or ``error.i.data…`` where i is an index in `errors`. An error
+        with another key is returned unchanged.
         """
         first, *others = mistake.key.split(".")
         if "data" not in (first, *others[1:2]):

@@ -162,7 +162,10 @@ class ExportsTable(ModelTable):
     def _run_program(
         self, folder: Path, tables: Sequence[ExportedTable], values: Sequence[Mapping[str, float]]
     ) -> dict[int, _Files]:
-        """Run the program for each export that has no files; return the new files, keyed by export index."""
+        """Run the program for each export that has no files; return the new files, keyed by export index.
+
+        The dict is empty if all exports have files. Raise BrokenError if the program cannot be run or fails.
+        """
         which = [i for i, one in enumerate(tables) if one.stiffness is None]
         if self.runs is None or not which:
             return {}
@@ -191,7 +194,8 @@ class ExportsTable(ModelTable):
     def _mesh(self, folder: Path, decks: Sequence[Path]) -> Mesh | None:
         """Return the mesh in the file ``mesh`` or, if none is given, in the first deck.
 
-        Return None if the deck's format cannot be read.
+        Return None if there is neither, or if the deck's format cannot be read. Raise
+        BrokenError if the file is invalid.
         """
         path, key = None if self.mesh is None else folder / self.mesh, "model.mesh"
         if path is None and decks and decks[0].suffix.lower() in MESHES:

@@ -251,7 +251,10 @@ class _Mesh:
         return Factor(targets) if table.scaling == "factor" else list(targets)
 
     def label(self, node: int) -> str:
-        """Return a node's label: the name of its point, or "between …" with the names of the member's ends."""
+        """Return a node's label: the name of its point, or "between …" with the names of the member's ends.
+
+        The label is empty for an unknown node.
+        """
         return next((name for name, number in self.node_of.items() if number == node), self._between.get(node, ""))
 
     def _node_at(self, point: str) -> int:

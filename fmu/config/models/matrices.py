@@ -183,7 +183,8 @@ class MatricesTable(ModelTable):
         """Return the matrices expanded to their common degrees of freedom, with the names of these.
 
         If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom are
-        removed if all matrices are zero there, or if Abaqus marks them as fixed by a stiffness of 1e36.
+        removed if Abaqus marks them as fixed by a stiffness of 1e36 and, if there are names or a mesh, if all
+        matrices are zero there. Raise BrokenError if the matrices do not fit together.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None

@@ -100,7 +100,7 @@ class PlanTable(TomlTable):
         return "plan.target" if self.damage is None else "plan.damage"
 
     def count_modes(self) -> int:
-        """Return the number of the highest mode to be measured."""
+        """Return the number of the highest mode to be measured: 6 if ``modes`` is not given."""
         return _MODES if self.modes is None else self.modes if isinstance(self.modes, int) else max(self.modes)
 
     def all_sensors(self, built: Built) -> tuple[Dof, ...]:

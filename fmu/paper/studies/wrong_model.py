@@ -82,7 +82,8 @@ class WrongModel:
         """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
         If there are several tests, which have many modes, the draws are reweighted instead of repeating the
-        update. If the tests have populations, the scores of the mode's test are integrated out.
+        update. If the tests have populations, the scores of the mode's test are integrated out. Raise ValueError
+        unless each trace has two or more measured modes.
         """
         known = {
             model: with_left_out(

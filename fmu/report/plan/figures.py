@@ -101,7 +101,10 @@ def plot_information(plan: Plan) -> Axes:
 
 
 def plot_expected_sds(plan: Plan) -> Axes:
-    """Plot each parameter's expected standard deviation after the test, relative to its value before the test."""
+    """Plot each parameter's expected standard deviation after the test, relative to its value before the test.
+
+    At most the first 40 parameters are plotted.
+    """
     table = plan.parameters()
     names = [style.literal(str(name)) for name in table.index[:_MOST_NAMES]]
     axes = style.new_figure(style.NARROW, 0.9 + 0.28 * len(names)).subplots()
@@ -122,9 +125,10 @@ def plot_expected_sds(plan: Plan) -> Axes:
 
 
 def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) -> Axes:
-    """Plot actual against expected standard deviations in simulated tests.
+    """Plot actual against expected standard deviations in simulated tests, for at most three of `choices`.
 
-    Both are divided by the standard deviations expected for the plan.
+    Both are divided by the standard deviations expected for the plan. By default, the choices are all that were
+    simulated.
     """
     axes = style.new_figure(style.NARROW, 3.6).subplots()
     unit = found.expected[PLANNED]

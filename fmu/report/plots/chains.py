@@ -274,7 +274,7 @@ def plot_running_means(
 ) -> style.AxesArray:
     """Plot each chain's running mean, one row per parameter.
 
-    The band is the mean of all draws ± 2 standard errors.
+    The band is the mean of all draws ± 2 standard errors; there is none if the standard error is unknown.
 
     Parameters
     ----------

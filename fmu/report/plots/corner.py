@@ -110,7 +110,7 @@ def plot_corner(
 
 
 def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tuple[float, float]]:
-    """Return the range of each axis: the range of the draws with a margin, but within the bounds.
+    """Return the range of each axis: the central 99.9 % of the draws with a margin, but within the bounds.
 
     Beyond a bound, histogram smoothing would show draws that do not exist.
     """
@@ -132,7 +132,7 @@ class _Mark(TypedDict, total=False):
 
 
 def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
-    """Mark the points and bounds that lie inside the axes. List the points that lie outside in the legend."""
+    """Mark the points and bounds that lie inside the axes. The legend says which points lie outside."""
     from matplotlib.lines import Line2D
 
     styles: dict[str, _Mark] = {

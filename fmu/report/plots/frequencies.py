@@ -164,6 +164,11 @@ def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     Returns
     -------
     Axes
+
+    Raises
+    ------
+    ValueError
+        See `fmu.leave_one_out`.
     """
     table = leave_one_out(trace)
     ends = table[["eti90_lb", "eti90_ub"]].to_numpy().T

@@ -23,7 +23,10 @@ _ROW = 0.16
 
 
 def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a colour for each model, keyed by name. The first model (the reference) is grey."""
+    """Return a colour for each model, keyed by name. The first model (the reference) is grey.
+
+    The colours repeat if there are more models than colours.
+    """
     palette = [style.GREY, *style.PALETTE]
     return {name: palette[k % len(palette)] for k, name in enumerate(names)}
 
@@ -57,7 +60,8 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
 def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> Axes:
     """Plot each parameter's mean and 90 % interval under every model, relative to the parameter's start value.
 
-    The parameters are those of the first model. Parameters that start at 0 are shown in SI units.
+    The parameters are those of the first model. Parameters whose start value is 0 or unknown are shown in SI
+    units.
 
     Parameters
     ----------

@@ -141,7 +141,7 @@ def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
 def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
     """Return the sensor positions in m and the scaled measured displacements there, both of shape (places, 3).
 
-    Return None if no shape was measured.
+    Displacements in directions without a sensor are 0. Return None if no shape was measured.
     """
     seen = scaled_to_mean(one)
     if seen is None:
@@ -246,7 +246,8 @@ _ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0
 def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray:
     """Return the projection matrix, shape (3, 2), for the plot of a structure.
 
-    If the structure is plane and moves in its plane, the projection is onto this plane. Otherwise it is isometric.
+    If the structure is plane and moves mainly in its plane, the projection is onto this plane. Otherwise it is
+    isometric.
     """
     wide = np.flatnonzero(_is_wide(coordinates))
     in_plane = len(wide) == 2 and np.sum(displacement[..., wide] ** 2) > 0.5 * np.sum(displacement**2)
@@ -259,7 +260,8 @@ def plot_mode(
     """Plot a structure and its deformed shape in one mode.
 
     For a straight structure, the displacement in the direction of largest motion is plotted over the position. A
-    plane structure that moves in its plane is shown in this plane, any other structure in isometric projection.
+    plane structure that moves mainly in its plane is shown in this plane, any other structure in isometric
+    projection.
 
     Parameters
     ----------

@@ -97,7 +97,10 @@ def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
-    """Plot the ranges between the bounds and the start values, if all are finite, and label the axis."""
+    """Plot the ranges between the bounds, and the start values, and label the axis.
+
+    The ranges are left out if a bound is not finite, and the start values if one of them is not.
+    """
     x = np.arange(len(members))
     lower, upper, start = (
         np.array([constant(trace, which, name) / style.unit_of(trace, name).factor for name in members])

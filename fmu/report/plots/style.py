@@ -137,7 +137,10 @@ def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
 
 
 def broken(label: str, room: float) -> str:
-    """Break a label into at most three lines that fit in `room` inches, with the unit on its own line."""
+    """Break a label into at most three lines that fit in `room` inches, with the unit on its own line.
+
+    A label that is too long ends with "…".
+    """
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")
     if not slash or len(label) <= most:
@@ -147,7 +150,7 @@ def broken(label: str, room: float) -> str:
 
 
 def legend_below(axes: Axes) -> None:
-    """Move the axes' legend below the figure, in as many columns as fit."""
+    """Move the axes' legend below the figure, in as many columns as fit. Do nothing if no artist has a label."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")

@@ -1,4 +1,4 @@
-"""Plots for several tests of one structure: parameter values in each test, and losses of stiffness."""
+"""Plots for several tests of one structure: parameter values in each test, and losses."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def paths(run: ReportedRun) -> PageSection:
 
 
 def _agreement(run: ReportedRun) -> str:
-    """Return a sentence that says whether the chains agree and gives the largest R-hat."""
+    """Return a sentence that says whether the chains agree, with the largest R-hat; unknown if an R-hat is NaN."""
     rhat = run.summary["rhat"].fillna(np.inf)
     name, worst = str(rhat.idxmax()), float(rhat.max())
     if not np.isfinite(worst):
@@ -108,7 +108,7 @@ def _agreement(run: ReportedRun) -> str:
 
 
 def _slowest(run: ReportedRun) -> str:
-    """Return a sentence on the parameter with the smallest effective sample size."""
+    """Return a sentence on the parameter with the smallest bulk ESS, or on parameters whose ESS is undefined."""
     ess = run.summary["ess_bulk"]
     if ess.isna().any():
         return "The draws of some parameters do not move."
@@ -175,7 +175,10 @@ def _running_rhat(run: ReportedRun) -> Picture:
 
 
 def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
-    """Return the section on parameter pairs. It shows at most `most` parameters: the most strongly correlated."""
+    """Return the section on parameter pairs, or `Omitted` if there are fewer than 50 draws.
+
+    It shows at most `most` parameters: the most strongly correlated ones.
+    """
     title = "Pairs of parameters"
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
@@ -200,7 +203,10 @@ def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
 
 
 def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...], str]:
-    """Return the most strongly correlated parameters, and a sentence on the pair with the largest correlation."""
+    """Return the most strongly correlated parameters, and a sentence on the pair with the largest correlation.
+
+    If fewer than two parameters vary, return the first `most` parameters and an empty sentence.
+    """
     draws, n = parameter_draws(run.trace).reshape(-1, len(run.names)), len(run.names)
     moving = np.flatnonzero(np.ptp(draws, axis=0) > 0)
     if len(moving) < 2:
@@ -217,7 +223,10 @@ def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...
 
 
 def energies(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the energies of Hamiltonian trajectories, or `Omitted` for other samplers."""
+    """Return the section on the energies of Hamiltonian trajectories.
+
+    Return `Omitted` for other samplers, and if there are fewer than 50 draws.
+    """
     title = "Energies of the trajectories"
     if not has(run.trace, "sample_stats", "energy"):
         return Omitted(title, "this sampler has none")

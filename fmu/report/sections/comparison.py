@@ -180,7 +180,10 @@ def _gradients(runs: Mapping[str, ReportedRun]) -> str:
 
 
 def marginals(found: Compared) -> PageSection | Omitted:
-    """Return the section on every sampler's posterior densities, and on the ranks of its draws."""
+    """Return the section on every sampler's posterior densities, and on the ranks of its draws.
+
+    Return `Omitted` if there is only one sampler.
+    """
     title, runs = "Marginals and ranks", found.runs
     if len(runs) < 2:
         return Omitted(title, "there is one sampler")

@@ -40,7 +40,10 @@ def model_fit(run: ReportedRun) -> Verdict:
 
 
 def _strongest_evidence(fit: ModelFit) -> str:
-    """Return a sentence on the strongest evidence against the model, or on the number of checks it passed."""
+    """Return a sentence on the strongest evidence against the model, or on the number of checks it passed.
+
+    It is empty if the fit is unknown or cannot be tested.
+    """
     against = failed_checks(fit.checks)
     if against:
         p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
@@ -61,7 +64,10 @@ def _shapes(run: ReportedRun) -> tuple[str, ...]:
 
 
 def checks(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the model checks: each check's result, and the errors that it could have detected."""
+    """Return the section on the model checks: each check's result, and the errors that it could have detected.
+
+    Return `Omitted` if there are no checks.
+    """
     title, fit = "Checks of the model", run.diagnosis.fit
     if not fit.checks:
         return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))

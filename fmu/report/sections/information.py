@@ -26,7 +26,10 @@ LOOK_AT_SENSITIVITY = (
 
 
 def marginals(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on each parameter's prior and posterior density."""
+    """Return the section on each parameter's prior and posterior density.
+
+    Return `Omitted` if the trace has no draws from the prior.
+    """
     title, found = "Prior and posterior", information(run.trace)
     if found is None:
         return Omitted(title, "the trace has no draws from the prior")

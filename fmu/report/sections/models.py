@@ -21,7 +21,7 @@ _SURE = 0.95
 
 
 def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return the verdicts: the most probable model, the best predictions, and the parameters with a misfit."""
+    """Return the verdicts: the most probable model, predictions of left-out modes and parameters with a misfit."""
     table = found.table
     known = table["probability"].dropna()
     best = str(known.idxmax()) if len(known) else ""
@@ -77,7 +77,10 @@ def comparison(found: ModelComparison) -> PageSection:
 
 
 def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
-    """Return the section with every model's prediction of each mode from the other modes."""
+    """Return the section with every model's prediction of each mode from the other modes.
+
+    Only modes that were left out by all models are compared; without any, return `Omitted`.
+    """
     title, tables = "Each mode predicted from the others", common_modes(traces)
     if not tables or not len(next(iter(tables.values()))):
         return Omitted(title, "no mode was left out by all models")
@@ -103,7 +106,10 @@ def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
 
 
 def misfit(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
-    """Return the section on how each group of parameters scatters over the modes."""
+    """Return the section on how each group of parameters scatters over the modes.
+
+    Return `Omitted` if no model has an inferred scatter.
+    """
     rows = [_scatter_row(name, one) for name, trace in traces.items() for one in scatters(trace)]
     title = "Where the misfit lives"
     if not rows:

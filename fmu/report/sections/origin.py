@@ -43,7 +43,7 @@ def cost(run: ReportedRun) -> PageSection:
 
 
 def certificate(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the reduced model's or surrogate's error at the draws."""
+    """Return the section on the reduced model's or surrogate's error at the draws, or `Omitted` without either."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     of_surrogate = SurrogateCertificate.from_trace(attrs)
     if of_surrogate is not None:
@@ -84,7 +84,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
     """Return the section on the surrogate's error at posterior draws.
 
-    The sentences in `exact` say which draws are exact.
+    The sentences in `exact` say which draws are exact. If there are any, another sentence is appended to the list.
     """
     if exact:
         exact.append("The rest of this section is about the surrogate; its errors are not those of the draws.")
@@ -140,7 +140,7 @@ def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
 
 
 def settings(run: ReportedRun) -> PageSection:
-    """Return the section on settings, seed, versions and the configuration's hash."""
+    """Return the section on settings, seed (unless the run was imported), versions, hash and configuration."""
     attrs = run.trace.attrs
     given, learnt = (json.loads(str(attrs[name])) for name in ("settings", "learnt"))
     before, after = dict(_flat(given)), dict(_flat(learnt))

@@ -47,7 +47,10 @@ NO_DATA = "the modes are no data, the parameters are updated with frequency resp
 
 
 def predictive(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section that compares the measured frequencies with their posterior predictive distributions."""
+    """Return the section that compares the measured frequencies with their posterior predictive distributions.
+
+    Return `Omitted` if the trace has no frequencies, they are not used in updating, or no noise is modelled.
+    """
     title, table = "Posterior predictive check", run.prediction
     if table is None:
         return Omitted(title, NO_FREQUENCIES)
@@ -148,7 +151,11 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on predicting each measured mode from the other modes."""
+    """Return the section on predicting each measured mode from the other modes.
+
+    Return `Omitted` if the trace has no likelihood of single modes, only a pseudo-likelihood or too few draws, or
+    if the modes are not used in updating.
+    """
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")

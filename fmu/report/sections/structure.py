@@ -67,7 +67,10 @@ def legend(entries: Iterable[tuple[str, str]]) -> Markup:
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on identifiability, judged from the posterior draws and from the linearised model."""
+    """Return the section on identifiability, judged from the posterior draws, the linearised model, or both.
+
+    Return `Omitted` if the trace has neither.
+    """
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)
     if found is None and not kept:
@@ -155,7 +158,8 @@ def _contraction(run: ReportedRun, found: Information) -> PageTable:
 def mac(run: ReportedRun) -> PageSection | Omitted:
     """Return the section on the MAC between updated modes and measured shapes.
 
-    If no shapes were measured, the updated modes are compared with the modes before updating.
+    If no shapes were measured, the updated modes are compared with the modes before updating. Return `Omitted` if
+    the trace has no mode shapes.
     """
     if not has(run.trace, GROUP, "mac"):
         return Omitted("Modal assurance criterion", NO_SHAPES)
@@ -198,7 +202,10 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
 
 
 def pairing(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on how mode pairing changes over the draws."""
+    """Return the section on how mode pairing changes over the draws.
+
+    Return `Omitted` if the trace has no frequencies before updating or none at the draws.
+    """
     title = "Pairing over the draws"
     if not has(run.trace, GROUP) or not has(run.trace, "posterior_predictive"):
         return Omitted(title, "the trace has no frequencies at the draws and before updating")
@@ -225,7 +232,10 @@ def pairing(run: ReportedRun) -> PageSection | Omitted:
 
 
 def shapes(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the mode shapes before and after updating, and the measured shapes."""
+    """Return the section on the mode shapes before and after updating, and the measured shapes if there are any.
+
+    Return `Omitted` if the trace has neither a geometry nor measured shapes.
+    """
     title = "Mode shapes before and after"
     kind = next((name for name in ("displacement", "component") if has(run.trace, GROUP, name)), None)
     if kind is None:

@@ -117,7 +117,10 @@ def population(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _outliers(run: ReportedRun) -> list[Part]:
-    """Return a sentence on the tests that may be outliers, and a table of the most probable outliers."""
+    """Return a sentence on the tests that may be outliers, and a table of the most probable outliers.
+
+    There is no table if no test has a probability of at least `_UNLIKELY`.
+    """
     group = run.trace["populations"].to_dataset()
     names, tests = group["population"].to_numpy().tolist(), group["test"].to_numpy().tolist()
     p = group["outlier"].to_numpy()
@@ -170,7 +173,10 @@ def _next_test(run: ReportedRun) -> PageTable:
 
 
 def losses(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on losses: in groups of tests, and since an unknown date."""
+    """Return the section on losses: in groups of tests, and since an unknown date.
+
+    Return `Omitted` if the trace has neither.
+    """
     title = "Damage"
     parts = [*_losses_of_groups(run), *_losses_by_test(run)]
     if not parts:
@@ -311,7 +317,7 @@ def _equals(p: float) -> str:
 def damage_drawing(trace: xr.DataTree) -> Markup:
     """Return drawings of the structure, coloured by the losses in each state.
 
-    The result is empty if the trace has no losses or no geometry.
+    The result is empty if the trace has no losses or no geometry, or the structure is too large to draw.
     """
     if not has(trace, LOSSES):
         return Markup("")

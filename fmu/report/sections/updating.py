@@ -96,7 +96,10 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def _error_of_ends(run: ReportedRun) -> str:
-    """Return a sentence on the interval ends' largest Monte Carlo error, relative to the parameter's sd."""
+    """Return a sentence on the interval ends' largest Monte Carlo error, relative to the parameter's sd.
+
+    It says that the error is unknown if that of any parameter is.
+    """
     errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
     if errors.isna().any():
         return "The Monte Carlo error of the ends of the intervals is unknown."
@@ -106,7 +109,10 @@ def _error_of_ends(run: ReportedRun) -> str:
 
 
 def frequencies(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section that compares the measured frequencies with the model before and after updating."""
+    """Return the section that compares the measured frequencies with the model before and after updating.
+
+    Return `Omitted` if the trace has no frequencies.
+    """
     title, table = "Frequencies", run.prediction
     if table is None:
         return Omitted(title, NO_FREQUENCIES)
@@ -162,7 +168,10 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mean_error(run: ReportedRun, before: FloatArray) -> str:
-    """Return sentences on the mean frequency error before and after updating, and on modes that became worse."""
+    """Return sentences on the mean frequency error before and after updating, and on modes that became worse.
+
+    If a frequency before updating is unknown, only the error after updating is given.
+    """
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")
@@ -180,7 +189,10 @@ def _mean_error(run: ReportedRun, before: FloatArray) -> str:
 
 
 def maxima(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the posterior maxima, which correspond to deterministic updating."""
+    """Return the section on the posterior maxima, which correspond to deterministic updating.
+
+    Return `Omitted` if the trace has none.
+    """
     title = "Posterior maxima: deterministic updating"
     if run.maxima is None:
         return Omitted(title, "the trace has none; fmu run searches for them before sampling")
@@ -251,12 +263,15 @@ def _shares_of_draws(seen: Visits) -> list[str]:
 
 
 def evidence(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on one run's evidence."""
+    """Return the section on one run's evidence, or `Omitted`; see `evidences`."""
     return evidences({run.name: run})
 
 
 def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
-    """Return the section on all estimates of the log-evidence, with the method, error and reliability of each."""
+    """Return the section on all estimates of the log-evidence, with the method, error and reliability of each.
+
+    Return `Omitted` if there are none.
+    """
     title = "Evidence"
     first = next(iter(runs.values()))
     known = [run.maxima for run in runs.values() if run.maxima is not None]

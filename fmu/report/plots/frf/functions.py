@@ -87,7 +87,7 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
     Raises
     ------
     ValueError
-        If the trace has no function with this name.
+        If the trace has no frequency response functions, or none with this name.
     """
     names = frf_names(trace)
     if not names:
@@ -222,7 +222,10 @@ def _is_geometric(lines: FloatArray) -> bool:
 
 
 def _unwrap_phase(phase: Curve) -> Curve:
-    """Return the phase curve without jumps of 360° between adjacent lines."""
+    """Return the phase curve without jumps of 360° between adjacent lines.
+
+    The curve is shifted by a multiple of 360° so that its median lies between −180° and 180°.
+    """
     there = np.isfinite(phase.middle)
     shift = np.zeros(len(phase.middle))
     shift[there] = np.degrees(np.unwrap(np.radians(phase.middle[there]))) - phase.middle[there]
@@ -231,7 +234,10 @@ def _unwrap_phase(phase: Curve) -> Curve:
 
 
 def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
-    """Shift phases in degrees by multiples of 360° to lie near the curve `middle`; NaN in it is interpolated."""
+    """Shift phases in degrees by multiples of 360° so that they lie near the curve `middle`.
+
+    NaNs in the curve are interpolated. If the whole curve is NaN, the phases are returned unchanged.
+    """
     there = np.isfinite(middle)
     if not there.any():
         return degrees

@@ -53,7 +53,7 @@ def frfs(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _say(run: ReportedRun, group: xr.Dataset) -> str:
-    """Return sentences on how well the functions fit and on the values that were not used in updating."""
+    """Return sentences on how well the functions fit, and on how well held-out values are predicted, if any."""
     failed = [
         check.of for check in run.diagnosis.fit.checks if check.failed and check.kind in (RESPONSES, HELD_OUT)
     ]
