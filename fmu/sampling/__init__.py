@@ -141,8 +141,9 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
-        number of solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
+        The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``before_n_solves``,
+        the number of solves by which the sampler was adapted to the maxima; ``after_n_solves``, the number of
+        solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
         gradient divided by the time of a log-probability, if the sampler uses exact gradients; the certificate of
         the reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, which states the
         limit at which a run with `until_ess` ended before its verdict was good. The trace of an updating problem
@@ -185,7 +186,7 @@ def sample(
         if on_draws is not None:
             on_draws(trace)
         trace = examine(task, beginning, trace, engine)
-        trace.attrs["after_n_solves"] = solves() - before
+        trace.attrs |= {"before_n_solves": beginning.n_solves, "after_n_solves": solves() - before}
     return trace
 
 

@@ -101,12 +101,17 @@ class Task(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """Starting points and settings of a run. `is_new` is True if the maxima were searched for at its start."""
+    """Starting points and settings of a run.
+
+    `is_new` is True if the maxima were searched for at its start. `n_solves` is the number of solves by which the
+    settings were adapted to the maxima.
+    """
 
     settings: Sampler
     starts: Starts
     maxima: Maxima | None
     is_new: bool
+    n_solves: int
 
 
 def begin(
@@ -117,6 +122,7 @@ def begin(
     from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
     from fmu.analysis.trace.densities import is_updating
+    from fmu.progress.phases import solves
     from fmu.runs.maxima import kept_maxima
     from fmu.samplers.mixture.mixture import with_jumps
 
@@ -132,9 +138,10 @@ def begin(
         caught_at = [m for m in begin_at if m.starting_share > NEGLIGIBLE or starts.word != "maxima"]
         if jumps is None and len(caught_at) > 1 and settings.is_local:
             settings = with_jumps(settings)
+    before = solves()
     if settings.takes_maxima and (begin_at is not None or not is_searchable(problem)):
         settings = settings.starting_from(*components(problem, begin_at))
-    return Beginning(settings, starts, maxima, is_new)
+    return Beginning(settings, starts, maxima, is_new, solves() - before)
 
 
 def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine) -> tuple[RunResult, str]:

@@ -46,7 +46,7 @@ LENGTH = ("--warmup", 10, "--draws", 15, "--chains", 2, "--starts", 2)
 SAMPLERS = ("mh", "hmc", "emcee", "tempering")
 QUIET = ("--no-report", "--progress", "none")
 # a function is called again where that was forgotten, hence the solves
-CLOCKS = {"created_at", "wall_s", "warmup_wall_s", "gradient_cost", "after_n_solves"}
+CLOCKS = {"created_at", "wall_s", "warmup_wall_s", "gradient_cost", "before_n_solves", "after_n_solves"}
 LINKS = {"DIMENSION_LIST", "REFERENCE_LIST"}  # places in the file
 
 

@@ -10,6 +10,7 @@ from fmu.analysis.convergence.effective import ess_bulk
 from fmu.analysis.maxima.funnel import components_along
 from fmu.analysis.maxima.starts import components, starts_at_maxima
 from fmu.posterior.scaled import ScaledDensity
+from fmu.progress.phases import solves
 from fmu.samplers.loop.run import Run
 from fmu.samplers.mixture.importance import effective_size
 from fmu.samplers.mixture.mixture import MixtureSampler
@@ -89,3 +90,11 @@ def test_a_poor_quadratic_model_makes_way_for_the_funnel(funnel, maxima):
     )
     assert components(funnel, poor)[2] is not None
     assert components(funnel, fair)[2] is None
+
+
+def test_the_ascents_along_the_funnel_are_counted(funnel, maxima):
+    before = solves()
+    components_along(funnel, maxima)
+    taken = solves() - before
+    trace = fmu.sample(funnel, "mixture", draws=20, warmup=20, chains=2, seed=1, maxima=maxima)
+    assert trace.attrs["before_n_solves"] == taken > 12
