@@ -46,14 +46,20 @@ def customary_unit(unit: str) -> Unit:
 
 
 def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
-    """Format a value in SI units in its customary unit, with digits justified by `sd`: ``"170 GPa"``."""
+    """Format a value in SI units in its customary unit, with digits justified by `sd`: ``"170 GPa"``.
+
+    Without `sd`, the value keeps the digits with which it was entered; see `given`.
+    """
     factor, name = customary_unit(unit)
     value, sd = value / factor, sd / factor
     return f"{given(value) if math.isnan(sd) else round_by_sd(value, sd)} {name}".rstrip()
 
 
 def decimals(spread: float) -> int:
-    """Return the number of decimals needed to show two significant digits of a standard deviation."""
+    """Return the number of decimals needed to show two significant digits of a standard deviation, at most 12.
+
+    Return 3 if the standard deviation is zero or not finite.
+    """
     if not (math.isfinite(spread) and spread > 0):
         return 3
     return min(_MOST_DECIMALS, max(0, -_last_place(spread, 2)))
@@ -65,7 +71,10 @@ def fixed(value: float | None, places: int) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Format a number of unknown uncertainty with up to `digits` significant digits; None and NaN give a dash."""
+    """Format a number of unknown uncertainty with up to `digits` significant digits.
+
+    None and NaN give a dash, and infinity gives ``"∞"`` or ``"-∞"``.
+    """
     if value is None or not math.isfinite(value):
         return MISSING if value is None else _infinite(value)
     text = f"{value:.{digits}g}"
@@ -90,7 +99,10 @@ def round_by_sd(value: float, sd: float, digits: int = 4) -> str:
 
 
 def with_sd(value: float, sd: float) -> str:
-    """Format a value with its standard deviation: ``"41.26 ± 0.15"``, ``"1.729e11 ± 0.022e11"``."""
+    """Format a value with its standard deviation: ``"41.26 ± 0.15"``, ``"1.729e11 ± 0.022e11"``.
+
+    If either is not finite, or `sd` is not positive, they have four and two significant digits.
+    """
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
         return f"{round_by_sd(value, math.nan)} ± {significant(sd, 2)}"
     largest, place = max(abs(value), sd), max(_last_place(sd, 2), _last_place(value, _MOST_DIGITS))
@@ -109,7 +121,7 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
     ----------
     *values : float
     sd : float
-        Standard deviation of each value; the values are shown to its second significant digit.
+        Standard deviation of each value; the values are shown at least to its second significant digit.
     digits : int
         Number of significant digits of the largest value if `sd` is unknown.
     most : int
@@ -118,7 +130,7 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
     Returns
     -------
     tuple of str
-        One text per value; a dash for NaN.
+        One text per value; a dash for NaN, and ``"∞"`` or ``"-∞"`` for an infinite value.
     """
     finite = sorted({value for value in values if math.isfinite(value)})
     largest = max(map(abs, finite), default=0.0)
@@ -190,7 +202,7 @@ def share(part: float, digits: int = 2) -> str:
     """Format a fraction as a percentage: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
     The percentage has `digits` significant digits, or more if its complement would otherwise have fewer than
-    `digits` - 1. It is never written as a power of ten.
+    `digits` - 1. It is never written as a power of ten. A fraction that is not finite gives a dash.
     """
     if not math.isfinite(part):
         return MISSING
@@ -206,7 +218,7 @@ def share(part: float, digits: int = 2) -> str:
 def change(ratio: float) -> str:
     """Format a relative change as a percentage with its sign: ``"+2.54 %"``, ``"-0.07 %"``, ``"> -0.01 %"``.
 
-    The change has three significant digits, but at most two decimals.
+    The change has three significant digits, but at most two decimals. A change that is not finite gives a dash.
     """
     if not math.isfinite(ratio):
         return MISSING
@@ -237,7 +249,7 @@ def listed(values: Iterable[float], digits: int = 3) -> str:
 
 
 def names_in_words(names: Sequence[str]) -> str:
-    """Join names into a list in words: ``"a, b and c"``."""
+    """Join one or more names into a list in words: ``"a, b and c"``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 

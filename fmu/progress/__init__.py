@@ -45,8 +45,8 @@ def json_lines(stream: TextIO) -> JSONLines:
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
     """Yield the callback that an argument `progress` requests, or None if nothing is to be displayed.
 
-    A callable is yielded unchanged. True gives bars, None gives bars only in a notebook, and False gives no
-    display. The bars show the `label` before the name of the phase.
+    A callable is yielded unchanged. True gives bars in a notebook or on a terminal, None gives bars only in a
+    notebook, and False gives no display. The bars show the `label` before the name of the phase.
     """
     if callable(progress):
         yield progress
@@ -63,7 +63,7 @@ def end_bars(report: Report | None) -> None:
 
 
 def add_label(report: Report, label: str) -> Report:
-    """Return a callback that adds ``label`` to the `info` of every report before passing it on."""
+    """Return a callback that adds ``label`` to the `info` of each report without one, and then calls `report`."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:
         report(phase, done, total, {"label": label, **info})

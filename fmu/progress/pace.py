@@ -36,14 +36,14 @@ class Pace:
             self._steps.popleft()
 
     def per_s(self) -> float | None:
-        """Return the number of steps per second, or None if there are too few reports."""
+        """Return the number of steps per second, or None if there are too few reports or no time between them."""
         if len(self._steps) < 2:
             return None
         (began, before), (ended, done) = self._steps[0], self._steps[-1]
         return (done - before) / (ended - began) if ended > began else None
 
     def remaining(self, now: float) -> float | None:
-        """Return the time in s that remains at time `now`, or None if the pace is zero or not known."""
+        """Return the time in s that remains at time `now`: 0 at the end, None if the pace is zero or not known."""
         if not self._steps:
             return None
         at, done = self._steps[-1]
@@ -54,7 +54,7 @@ class Pace:
 
 
 class Throttle:
-    """Limits reports to one per interval, but always allows the last report.
+    """Limits the reports about one thing to one per interval, but always allows the last report.
 
     Parameters
     ----------

@@ -123,7 +123,11 @@ def tell_fact(fact: str) -> None:
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
-    """Open a phase for a block. A nested phase is reported separately, but its solves count for both phases."""
+    """Open a phase for a block. A nested phase is reported separately, but its solves count for both phases.
+
+    If no `report` callback is set, a notebook shows bars. A block that raises an exception is not reported as
+    complete.
+    """
     outer, (report, notes) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
@@ -159,7 +163,8 @@ def by_parts[Found](
     """Apply a function to batches of points (n, ...), and return the list of results.
 
     The work is reported as a phase. The batch size is chosen so that a batch takes some tenths of a second. A
-    batch has at least `least` and at most `most` rows; the last one may have fewer.
+    batch has at least `least` and at most `most` rows; the last one may have fewer. If there are no points, the
+    function is called once with an empty batch.
     """
     found: list[Found] = []
     first, rows = 0, max(min(_FIRST_ROWS, most), least)

@@ -80,8 +80,8 @@ class Entries:
 def _digits(entry: FloatArray) -> int:
     """Return the number of significant decimal digits, or 17 if decimals do not reproduce the numbers.
 
-    No program writes matrices with fewer than `_FEWEST_DIGITS` digits, so numbers that need fewer are taken as
-    exact.
+    About a thousand of the numbers are examined. No program writes matrices with fewer than `_FEWEST_DIGITS`
+    digits, so numbers that need fewer are taken as exact.
     """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // MOST_SAMPLED, 1)]

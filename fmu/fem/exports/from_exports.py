@@ -59,8 +59,10 @@ def from_exports(
     Raises
     ------
     ValueError
-        If an export is missing or has another mesh, a parameter changes nothing, or powers from -1 to 3 do not
-        reproduce an export; the message names the entries.
+        If there are fewer than two exports or too few to separate the terms, the first export is a check, a
+        parameter value is not finite or is zero in the first export, no export changes a parameter alone, an
+        export has other degrees of freedom or another geometry, a parameter changes nothing, or powers from -1 to
+        3 do not reproduce an export; the message then names the entries.
 
     Examples
     --------
@@ -100,7 +102,7 @@ def from_exports(
 def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> list[str]:
     """Return a warning, as a list, if the stiffness has too few digits for an accurate lowest frequency.
 
-    The list is empty if there are enough digits.
+    The list is empty if there are enough digits, or if no elastic mode can be computed.
 
     With independent, uniform entry errors e_ij, λ changes by φᵀ e φ / φᵀ M φ. Relative to f, the change has the
     standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
@@ -128,7 +130,11 @@ def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> lis
 
 
 def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the parameter names, and their values in each export, shape (n_exports, n_parameters)."""
+    """Return the parameter names, and their values in each export, shape (n_exports, n_parameters).
+
+    Raise ArgumentError if there are fewer than two exports, the first is a check or has no parameters, another
+    names an unknown parameter, or a value is not finite or is zero in the first.
+    """
     if len(exports) < 2:
         raise ArgumentError("exports", "must be at least 2", len(exports))
     names = tuple(exports[0].values)

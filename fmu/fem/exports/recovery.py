@@ -67,11 +67,12 @@ class Recovery:
     Attributes
     ----------
     terms : tuple of Term
-    fitted, checked : float or None
-        Largest error of an entry, relative to √(a_ii a_jj), in the exports used and in the exports reserved for
-        checking.
+    fitted : float
+        Largest error of an entry, relative to √(a_ii a_jj), in the exports used.
+    checked : float or None
+        The same in the exports reserved for checking; None if there are none.
     digits : int
-        Significant digits of the exported numbers; 17 for binary files.
+        Significant digits of the exported numbers; 17 if they are exact, as in binary files.
     rounding : float
         Bound on the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
         √(a_ii a_jj).
@@ -240,6 +241,8 @@ def recover(
     changed by fewer parameters are treated first. The two changes may cancel in such an entry. So the entry is
     assumed to depend on every parameter that changes the diagonal entries of both its row and its column, where
     nothing cancels.
+
+    Raise NotSeparableError if no terms reproduce the exports, and ArgumentError if more exports are needed.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))

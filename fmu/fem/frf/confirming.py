@@ -91,9 +91,10 @@ class FRFCertificate:
 
 
 def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertificate | None:
-    """Compute the errors of reduced-model FRFs at n parameter vectors; return None if there is no reduced model.
+    """Compute the errors of reduced-model FRFs at n parameter vectors.
 
-    `theta` (n, p) are the structural parameters and `values` (n, q) the damping parameters. Let r be the errors at
+    Return None if there is no reduced model, because the basis has all degrees of freedom. `theta` (n, p) are the
+    structural parameters and `values` (n, q) the damping parameters. Let r be the errors at
     all lines in standard deviations, and J the FRF derivatives in the same units. To first order, the posterior
     moves by the component of r in the column space of J. The direct solves use (K (1 + iη) − ω² M) x = f with one
     loss factor, which tests the basis for any kind of damping.
@@ -121,7 +122,10 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
 
 
 def _direct_error(model: FRFModel, theta: FloatArray, at: FloatArray) -> float:
-    """Return the largest FRF error at the lines with indices `at`, found by direct solves, in each line's unit."""
+    """Return the largest FRF error at the lines with indices `at`, found by direct solves, in each line's unit.
+
+    The damping is replaced by the loss factor `_LOSS`.
+    """
     omega = model.lines.omega[at]
     damped = model.with_damping(Damping(loss=Source(_LOSS)))
     found = damped.at(theta, np.empty((1, 0))).frfs(omega)[0]

@@ -51,7 +51,10 @@ class GeneralDamping:
 
 
 class GeneralResponses:
-    """FRFs of a structure with coupled modes; parameters and methods as in `ModalResponses`."""
+    """FRFs of a structure with coupled modes; parameters and methods as in `ModalResponses`.
+
+    Where the poles cannot be found accurately, the responses are solved for line by line.
+    """
 
     def __init__(
         self,
@@ -81,7 +84,10 @@ class GeneralResponses:
 
     @staticmethod
     def _solve(K: ComplexArray, C: FloatArray, M: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return the poles (2 r,) and eigenvectors (r, 2 r), or None if they do not reproduce a direct solve."""
+        """Return the poles (2 r,) and eigenvectors (r, 2 r), or None if they do not reproduce a direct solve.
+
+        Return None also if a matrix is not finite, or the eigenproblem cannot be solved.
+        """
         r = len(M)
         if not (np.all(np.isfinite(K)) and np.all(np.isfinite(C)) and np.all(np.isfinite(M))):
             return None
@@ -103,7 +109,10 @@ class GeneralResponses:
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 
     def displacements(self, omega: FloatArray) -> ComplexArray:
-        """Return displacements per unit force at each point, in basis coordinates, (n, n_points, r, n_lines)."""
+        """Return displacements per unit force at each point, in basis coordinates, (n, n_points, r, n_lines).
+
+        They are NaN where a direct solve fails.
+        """
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
         for i, solved in enumerate(self._poles):
@@ -123,7 +132,7 @@ class GeneralResponses:
         return found
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s. They are stored for `add`."""
+        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s. `add` reuses the solution."""
         self._omega, self._u = omega, self.displacements(omega)
         rows = self._points[self._responses]
         return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
@@ -137,7 +146,7 @@ class GeneralResponses:
                 self._sums[power] -= left @ np.swapaxes(self._u[:, k], 1, 2)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L with respect to structural (n, p) and damping (n, q) parameters."""
+        """Return the derivatives of L, the sum over all `add` calls; see `ModalResponses.gradient`."""
         damping, (by_K, by_C, by_M) = self.damping, self._sums
         alpha, beta = (source.at(self.values)[:, :, None] for source in (damping.alpha, damping.beta))
         # each stiffness term has its own loss factor

@@ -37,9 +37,11 @@ class Damping:
     alpha, beta, loss : Source
         Rayleigh's α in 1/s and β in s, and the loss factor of the whole structure.
     ratios : tuple of Source
-        Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
+        Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too. Not
+        used if the damping couples the modes.
     losses : dict of int to Source
-        Loss factor of the stiffness that a model parameter scales, keyed by the parameter's index.
+        Loss factor of the stiffness that a model parameter scales, keyed by the parameter's index. All other
+        stiffness has the loss factor `loss`.
     dashpots : tuple of (sparse, Source)
         Matrix (n_dof, n_dof) of each dashpot, and its coefficient in N·s/m.
     """
@@ -78,7 +80,8 @@ class FRFModel:
     Attributes
     ----------
     full, block : FullBlock, ReducedBlock
-        The block of the structure that contains the drives and responses, and the same block reduced.
+        All blocks of the structure with a drive, a response or a dashpot, taken together as one block, and the
+        same block reduced. If degrees of freedom have no mass, a small multiple of K is added to M.
     rows : sparse, shape (n_points, full.size)
         The drives and responses.
     responses, drives : ndarray of int, shape (n_frfs,)
@@ -88,12 +91,13 @@ class FRFModel:
     points : ndarray, shape (n_points, block.size)
         The drives and responses projected onto this basis.
     error : float
-        Largest error at points that were not used to build the basis: the root of the summed squared errors at all
-        lines, each error divided by its unit. NaN if the basis has all degrees of freedom.
+        Error at the last training point, before the basis was truncated: the root of the summed squared errors at
+        all lines, each error divided by its unit. NaN if the basis has all degrees of freedom.
     is_confirmed : bool
-        Whether training ended with errors below the tolerance.
+        Whether the errors at the last few training points were all below the tolerance. True if the basis has all
+        degrees of freedom.
     n_solves : int
-        Number of points at which the full structure was solved.
+        Number of points at which the full structure was solved; 0 if the basis has all degrees of freedom.
 
     Raises
     ------
@@ -202,7 +206,10 @@ class FRFModel:
         return np.asarray(block.coordinates(self.rows))
 
     def _damping_of(self, block: ReducedBlock) -> ProportionalDamping | GeneralDamping:
-        """Return the damping projected onto the basis of `block`."""
+        """Return the damping projected onto the basis of `block`.
+
+        A stiffness term that several parameters with loss factors scale has the loss factor of the first.
+        """
         given = self.damping
         if not given.couples_modes:
             return ProportionalDamping(

@@ -231,7 +231,7 @@ class ModalResponses:
         return stiff, np.negative(lossy, out=lossy)
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
-        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s. They are stored for `add`."""
+        """Return the receptances, shape (n, n_frfs, n_lines), at lines ω in rad/s. `add` reuses the solution."""
         self._omega, self._g = omega, self._resonances(omega)
         found = np.empty((*self.amplitudes.shape[:2], len(omega)), dtype=complex)
         found.real, found.imag = (self.amplitudes @ part for part in self._g)
@@ -266,7 +266,10 @@ class ModalResponses:
         return self.damping.differences(self.lam, self.values, self.rates)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L with respect to structural (n, p) and damping (n, q) parameters."""
+        """Return the derivatives of L for the lines added so far by `add`.
+
+        They are with respect to the structural parameters, (n, p), and to the damping parameters, (n, q).
+        """
         T, square, turned, of_viscous = self._sums
         A = self.amplitudes
         viscous = -np.sum(A * of_viscous, axis=1)

@@ -114,6 +114,7 @@ def train(
     Parameters
     ----------
     full : FullBlock
+        A block of at most `EXACT_LIMIT` degrees of freedom keeps them all, without training.
     rows : sparse, shape (n_points, full.size)
         The drive and response points.
     lower, upper : ndarray, shape (n_parameters,)
@@ -126,8 +127,8 @@ def train(
     -----
     At each training point, the receptances are compared with receptances from a basis enlarged by the modes and
     responses at that point. Training ends when `_PASSES` successive points agree, or after `_MOST_POINTS` points.
-    The basis is then truncated to the fewest leading directions that meet the tolerance at these and further
-    points.
+    The basis is then truncated to the fewest leading directions that meet half the tolerance at the first `_SHOWN`
+    points, relative to the whole basis.
     """
     centre = 0.5 * (lower + upper)
     if full.size <= EXACT_LIMIT:
@@ -171,7 +172,7 @@ def _reduce(full: FullBlock, V: FloatArray, centre: FloatArray) -> ReducedBlock:
 
 
 def _energy(full: FullBlock, centre: FloatArray, lines: Lines) -> sp.csr_array:
-    """Return K + s M at the centre of the box.
+    """Return K + s M at the parameters `centre`.
 
     The shift s makes it definite, and is small compared with ω² in the band.
     """
@@ -209,7 +210,9 @@ def _truncate(
     bind: Callable[[ReducedBlock], Bound],
     tolerance: float,
 ) -> ReducedBlock:
-    """Return the block on the fewest basis directions that meet the tolerance at all `points`.
+    """Return the block reduced to the fewest basis directions that meet the tolerance at all `points`.
+
+    If no smaller number meets it, all directions are kept.
 
     The directions come from a proper orthogonal decomposition of the responses at `points`, in the energy norm of
     A. The responses are weighted by the square roots of the error units, because an FRF error is a product of two

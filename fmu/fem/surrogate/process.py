@@ -47,9 +47,9 @@ class Process:
     y : ndarray, shape (N, q)
         Values of the quantities at the points.
     before : Process, optional
-        A process whose hyper-parameters are the starting point of the search for new ones.
+        A process whose hyper-parameters are a starting point of the search for new ones.
     search : bool
-        Whether hyper-parameters are searched for; otherwise the values of `before` are used.
+        Whether hyper-parameters are searched for; otherwise the values of `before` are used, which must be given.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Process:
     left_out_error : float
         Root mean square of the leave-one-out errors, in units of y.
     unit : ndarray, shape (q,)
-        Standard deviations by which the quantities were scaled.
+        Standard deviations by which the quantities were scaled; 1 for a constant quantity.
     scatter : ndarray, shape (q,)
         Standard deviations s of the solver's scatter, in units of y; `relative_scatter` is s of the scaled y.
     most : float
@@ -198,7 +198,11 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
 
 
 def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> GaussianProcessRegressor:
-    """Fit a scikit-learn regressor to z (N, q) at x (N, d), and return it."""
+    """Fit a scikit-learn regressor to z (N, q) at x (N, d), and return it.
+
+    Unless `search`, `kernel` is used as it is. Otherwise the search starts from `kernel`, if given, and from
+    others.
+    """
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
