@@ -53,7 +53,7 @@ class Task(NamedTuple):
     saved : Checkpoint or None
     max_failure_rate : float
     full_solves : int
-        Number of points at which the full model was solved before the run, if there is a reduced model.
+        Number of points at which the full model was solved before the run; 0 without a reduced model.
     warmup : int
         Number of warm-up steps that the limits allow.
     costs : tuple of two float
@@ -81,7 +81,8 @@ class Task(NamedTuple):
     ) -> Task:
         """Return the task, and discard the failures that the problem has recorded so far.
 
-        Warm-up and the first draws are shortened to fit within the limits. A resumed run keeps its warm-up.
+        Warm-up and the first draws are shortened to fit within the limits. A resumed run keeps its warm-up. Raise
+        ValueError unless `max_failure_rate` lies between 0 and 1.
         """
         from fmu.analysis.trace.densities import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
@@ -117,7 +118,11 @@ class Beginning(NamedTuple):
 def begin(
     task: Task, settings: Sampler, init: str | ArrayLike, jumps: bool | None, maxima: Maxima | None
 ) -> Beginning:
-    """Search for the maxima unless they are known; return the starting points and settings of the chains."""
+    """Choose the starting points and settings of the chains, after a search for maxima if one is needed.
+
+    Maxima that were passed in or are stored with the checkpoint are not searched for again. A hierarchical problem
+    is not searched.
+    """
     from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
@@ -145,7 +150,9 @@ def begin(
 
 
 def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine) -> tuple[RunResult, str]:
-    """Make draws, saving them to the checkpoint, until the verdict or a limit ends the run.
+    """Make draws until the requested number, the verdict or a limit ends the run.
+
+    The draws are saved if there is a checkpoint.
 
     Returns
     -------
@@ -240,7 +247,9 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
 def examine(task: Task, beginning: Beginning, trace: xr.DataTree, engine: Engine) -> xr.DataTree:
     """Return the trace with the certificate, the modes, their pairing, identifiability and leave-one-out added.
 
-    The engine solves the full models. If the problem is not an updating problem, its trace is returned unchanged.
+    The engine solves the full models for the certificate. Identifiability and leave-one-out are left out for a
+    hierarchical problem or one without modal data. If the problem is not an updating problem, its trace is
+    returned unchanged.
     """
     from fmu.analysis.certificate import certify
     from fmu.analysis.frf.certificate import certify_frfs
@@ -291,10 +300,10 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
 
 
 def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
-    """Return the number of warm-up steps with which a run resumes, or `warmup` for a new run.
+    """Return the number of warm-up steps with which a run resumes.
 
     A saved run that also requested `asked` warm-up steps keeps its own number, which its limits may have
-    shortened.
+    shortened. Otherwise, also if its record cannot be read, the number is `warmup`.
     """
     from fmu.durable_files import DamagedError
     from fmu.runs.identity import Identity

@@ -67,10 +67,11 @@ def delayed_acceptance(
         The result of `fmu.sample` for this problem. The number of proposals is a quarter to a half of its
         effective sample size (ESS). A trace with ``until_ess=2000`` has enough draws if the surrogate is good.
     until_ess : float
-        Bulk and tail ESS that every parameter must reach, at least the ESS that convergence requires. At first,
-        1.25 times this number of proposals are solved, and then more if the ESS is too small.
+        Bulk and tail ESS that every parameter must reach, in addition to convergence. Values below the ESS that
+        convergence requires have no effect. At first, 1.25 times the required ESS of proposals are solved, and
+        then more if the ESS is too small.
     max_solves : int, optional
-        Largest number of proposals that are solved.
+        Largest number of proposals that are solved, at least one per chain. By default, all proposals may be.
     engine : Engine, optional
         Calls the user's function at several theta in parallel; see `fmu.engine`. The draws do not depend on it.
 
@@ -82,9 +83,10 @@ def delayed_acceptance(
         trace. In addition to the attributes of the surrogate (`fmu.analysis.certificate.certify`) there are:
         ``second_stage_proposals``, the number of solved proposals; ``second_stage_accepted`` and
         ``second_stage_failed``, the numbers of accepted and of failed proposals; ``second_stage_solves``, the
-        number of distinct solves; and ``limit``, a phrase with the number of solves or draws that were available,
-        if the run ended before it converged. ``warmup_n_solves`` is the number of solves for the surrogate, and
-        ``warmup_wall_s`` the time of sampling it, in seconds.
+        number of distinct solves; ``after_n_solves``, the number of solves after the draws; and ``limit``, a
+        phrase with the number of solves or draws that were available, if the run ended before it converged.
+        ``warmup_n_solves`` is the number of solves for the surrogate, and ``warmup_wall_s`` the time of sampling
+        it, in seconds.
 
     Raises
     ------

@@ -20,6 +20,8 @@ _MARGIN = 1.3
 class ErrorLimits(NamedTuple):
     """Statistics of a surrogate's errors e = log p − log p̂ at n draws from p̂, and resulting error limits.
 
+    If the slow model failed at any draw, `sd`, `shift` and `largest` are infinite and `share` is 0.
+
     Attributes
     ----------
     n : int
@@ -71,10 +73,11 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
 
     The changes of the means are estimated from the draws, with limits from Student's t distribution with
     Bonferroni's correction. The changes of the standard deviations depend on a few outlying draws; they are
-    therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w) uses the chi-square
-    distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114), ν = 2n/(κ − (n −
-    3)/(n − 1)), where κ is the larger of the sample kurtosis and `HEAVY`. If this limit is too large for the means
-    to be estimated from a few draws, it is used for them as well, because |Cov(z, w)| ≤ sd(w).
+    therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w), or of sd(e) if that
+    is larger, uses the chi-square distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.*
+    2, 110–114), ν = 2n/(κ − (n − 3)/(n − 1)), where κ is the larger of the sample kurtosis and `HEAVY`. If this
+    limit exceeds 1, a few draws cannot give the means, and the limit itself is returned, because |Cov(z, w)| ≤
+    sd(w).
 
     Parameters
     ----------
@@ -143,6 +146,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the upper confidence limit on a standard deviation, divided by the standard deviation of n values."""
+    """Return the upper 95 % limit on a standard deviation, divided by the sample value from n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

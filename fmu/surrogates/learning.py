@@ -67,7 +67,7 @@ def surrogate(
         Seed of the random numbers.
     tolerance : float
         Largest error allowed in the posterior, with 95 % confidence: in any mean, in posterior standard
-        deviations, and in any standard deviation, as a fraction of it.
+        deviations, and in any standard deviation, as a fraction of it. Above 0 and at most 1.
     batch : int, optional
         Number of solves between two rounds of sampling; they can run in parallel. The default is the number of
         structural parameters, but at least four. The design depends on this number, but not on the number of
@@ -90,7 +90,9 @@ def surrogate(
     Raises
     ------
     ValueError
-        If the problem has matrices or several tests, a number is out of range, or nearly all solves fail.
+        If the problem has matrices, several tests, populations, no errors of modes, or a surrogate already; if a
+        number is out of range, such as `max_solves` too small for the first design and the checks; or if nearly
+        all solves fail.
 
     Warns
     -----
@@ -112,7 +114,8 @@ def surrogate(
 def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
     """Extend the design until the certificate meets the tolerance; return the certificate's error limits.
 
-    The extension also ends if no solves are left, or if the scatter of the solver prevents a better certificate.
+    The extension also ends if too few solves are left for another certificate, or if the scatter of the solver
+    prevents a better one.
     """
     optimism, at_floor = 1.0, 0
     while True:
@@ -171,7 +174,10 @@ class _Learner:
         return self.most - self.solves
 
     def begin(self, under_way: Phase) -> None:
-        """Solve at the starting point and at points that fill the parameter space, and fit a first surrogate."""
+        """Solve at the starting point and at points that fill the parameter space, and fit a first surrogate.
+
+        More points are added if too few solves succeed. Raise ValueError if too few succeed even then.
+        """
         from scipy.stats import qmc
 
         design: Design | None = None
@@ -196,10 +202,10 @@ class _Learner:
         self._fit(None)
 
     def posterior(self) -> tuple[FloatArray, float, float]:
-        """Return draws (n, ndim) from the surrogate's posterior, and two expected errors of the log-probability.
+        """Return up to 300 distinct draws from the surrogate's posterior, (n, ndim), and two expected errors.
 
-        The first error is due to the surrogate's own uncertainty, the second to the scatter of the solver. Both
-        are root mean squares over the posterior.
+        Both are errors of the log-probability, as root mean squares over the posterior. The first is due to the
+        surrogate's own uncertainty, the second to the scatter of the solver.
         """
         from fmu.analysis.maxima.search import find_map
         from fmu.analysis.maxima.starts import choose_starts, components
@@ -277,7 +283,7 @@ class _Learner:
     def _doubts(self) -> str:
         """Return sentences, one per line, on modes that may have been paired wrongly near the posterior.
 
-        The text is empty if there are none, or if no mode shapes are known.
+        The text is empty if there are none, if the modes are not paired by shape, or if no mode shapes are known.
         """
         shapes = self.given.data.shapes
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:

@@ -44,7 +44,7 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
         Values of log p − log p̂ at the proposals, which are drawn from p̂; −inf where p = 0. At least one is
         finite.
     rng : Generator
-        Each step uses the same random numbers, however long the chain is.
+        Each step takes the same random number, whatever the number of proposals.
 
     Returns
     -------
@@ -77,7 +77,8 @@ class SecondStage:
     Raises
     ------
     ValueError
-        If the problem has no surrogate, or the trace belongs to another problem or has too few effective draws.
+        If the problem has no surrogate, or the trace is not a trace, belongs to another problem, or has too few
+        effective draws.
     """
 
     def __init__(self, problem: UpdatingProblem, trace: xr.DataTree) -> None:
@@ -111,7 +112,7 @@ class SecondStage:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Values of log p − log p̂ at the n proposals of each chain that are already solved, shape (chains, n)."""
+        """Values of log p − log p̂ at each chain's solved proposals, (chains, n); −inf where a solve failed."""
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:
@@ -130,7 +131,10 @@ class SecondStage:
             under_way.advance(chains * (self._n - first))
 
     def result(self, seconds: float) -> RunResult:
-        """Return the chains of accepted proposals as the result of a run that took `seconds` seconds."""
+        """Return the chains of accepted proposals as the result of a run that took `seconds` seconds.
+
+        The time of the surrogate's run is added as warm-up. Raise ValueError if all solves of a chain failed.
+        """
         path, start = self._paths()
         chain = np.arange(len(path))[:, None]
         stats = {
@@ -192,7 +196,10 @@ class SecondStage:
         }
 
     def _paths(self) -> tuple[IntArray, IntArray]:
-        """Return the paths (chains, n) and starting indices (chains,) of `independence_chain` for all chains."""
+        """Return the paths (chains, n) and starting indices (chains,) of `independence_chain` for all chains.
+
+        Raise ValueError if all solves of a chain failed.
+        """
         weights, seed = self.log_weight, int(self.trace.attrs["seed"])
         failed = np.flatnonzero(~np.isfinite(weights).any(axis=1))
         if len(failed):

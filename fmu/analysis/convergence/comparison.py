@@ -56,16 +56,17 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     traces : mapping of str to xarray.DataTree
         Traces keyed by row name.
     problem : UpdatingProblem, optional
-        The problem that was sampled. If given, its maxima are searched for, and a run that missed an important
-        maximum has not converged. Maxima stored in a trace, and regions that other runs on the same posterior
-        found, are always used.
+        The problem that was sampled. If given, its maxima are searched for, unless it is hierarchical, and a run
+        that missed an important maximum has not converged. Maxima stored in a trace, and regions that other runs
+        on the same posterior found, are always used.
 
     Returns
     -------
     pandas.DataFrame
         One row per sampler:
 
-        - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
+        - ``verdict``: ``"converged"``, ``"converged locally"`` if other maxima are not excluded, or
+          ``"not converged: "`` and the first reason of `fmu.diagnose`;
         - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: largest R-hat and smallest ESS of any parameter; NaN if
           one is NaN;
         - ``mcse_over_sd_max``: largest ratio of a posterior mean's standard error to the posterior sd;
@@ -73,7 +74,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
         - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
         - ``gradient_cost``: time for an exact gradient divided by the time for a log-probability, measured at the
-          end of the run; NaN without gradients;
+          end of the run; NaN if it was not measured, as in runs without exact gradients;
         - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of these costs;
         - the columns of `costs_side_by_side`: total solves until the common criterion and per effective draw, also
           relative to emcee.
@@ -161,10 +162,11 @@ def costs_side_by_side(
 
         - ``search_solves``: solves of the search for maxima, which all samplers share and which is part of each
           sampler's cost; zero if unknown;
-        - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01 and bulk
-          and tail ESS were at least 400; NaN if this was never reached;
+        - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01, and bulk
+          and tail ESS were at least 400 and at least 100 per chain; NaN if this was never reached;
         - ``total_solves``: search, warm-up and all draws;
-        - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter;
+        - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter; NaN if its ESS is
+          undefined;
         - ``criterion_over_baseline``, ``per_ess_over_baseline``: ``criterion_solves`` and ``solves_per_ess``, each
           divided by the baseline's value; NaN without a baseline.
     """
@@ -234,7 +236,8 @@ def about_solves(solves: float) -> str:
 def _search(traces: Mapping[str, xr.DataTree]) -> float:
     """Return the cost of the search for maxima in solves, or 0 if no trace stores a search.
 
-    Gradients are converted to solves at the cost measured in one of the runs.
+    Gradients are converted to solves at the cost measured in one of the runs, or count as one solve if no run
+    measured it.
     """
     known = next((m for m in map(maxima_of, traces.values()) if m is not None), None)
     if known is None:

@@ -78,13 +78,14 @@ class Diagnosis:
     Attributes
     ----------
     converged : bool
-        Whether all convergence tests passed.
+        Whether there is no reason against convergence.
     reasons : tuple of str
-        Why the run has not converged, one sentence per reason, the most serious first; empty if it has.
+        Why the run has not converged, one sentence per reason: missed or badly visited maxima first, then failed
+        tests of the draws, then an invalid certificate. Empty if it has converged.
     warnings : tuple of str
         Warnings about the model and the data, whether or not the run converged: failed model checks (`fit`),
         parameters at their bounds, mode shapes unlike the measured ones, a pairing that jumps, parameters that the
-        data did not update, repeated tests that are not independent.
+        data did not update, repeated tests that are not independent, doubtful masses of maxima, and so on.
     doubts_of_search : tuple of str
         Why there may be maxima that no chain visited, one sentence per reason; empty if the search for maxima was
         complete. A run that misses a maximum can pass all tests, so with any of these doubts it has converged only
@@ -92,7 +93,7 @@ class Diagnosis:
     search : str
         For a plain log-density: where the search began and what it found. Otherwise empty.
     stopped : str
-        If the run was stopped early: the number of draws or the limit, in words. Otherwise empty.
+        If the run was stopped or ended at a limit: the number of draws or the limit, in words. Otherwise empty.
     fit : ModelFit
         Whether the data contradict the model, and which checks could have failed; provisional if the run has not
         converged.
@@ -129,7 +130,10 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Reasons why the run has not converged or, if it has, sentences on the limits of the verdict."""
+        """Why the run has not converged or, if it has, what limits the verdict.
+
+        If it has, `few` replaces the doubts about the search. `few` and `stopped` are always given.
+        """
         said = self.reasons
         if self.converged and not self.few:
             said = self.doubts_of_search or ((self.search,) if self.search else ())
@@ -161,7 +165,7 @@ class Diagnosis:
         return "".join(block(*one) for one in blocks)
 
     def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
-        """Return pairs of a heading and its sentences: first the verdict on the model, then the notes."""
+        """Return pairs of a heading and its sentences: the verdict on the model and the notes, if any."""
         doubt = "" if self.converged else ", provisionally"
         blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.said)] if self.fit.checks else []
         return blocks + ([(NOTES, self.notes)] if self.notes else [])
@@ -259,7 +263,7 @@ def judge(
 
 
 def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
-    """Return the reasons why there may be maxima that no chain visited, one sentence per reason.
+    """Return the reasons why there may be maxima that no chain visited, one sentence each; empty if there is none.
 
     Parameters
     ----------
@@ -277,14 +281,14 @@ def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]
 
 
 def _is_above(trace: xr.DataTree, level: float) -> bool:
-    """Return True if at least nine tenths of the draws have a log-density above `level`."""
+    """Return True if about nine tenths of the draws or more have a log-density above `level`."""
     return float(np.quantile(array_of(trace, "sample_stats", "lp"), 0.1)) > level
 
 
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return the reasons why a run has not converged, and warnings on maxima whose estimated mass looks wrong."""
+    """Return why a run has not converged, the certificate apart, and warnings on doubtful masses of maxima."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
@@ -328,8 +332,8 @@ def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.Dat
     """Return the name of the run with the largest ESS, chosen among the converged runs if there are any.
 
     This run supplies the verdict on the model, the losses and the exported values if no sampler is named. A run's
-    ESS is the smallest over its parameters. Ties are resolved alphabetically, so the order of the runs does not
-    matter.
+    ESS is the smallest bulk or tail ESS of its parameters; NaN ranks last. Ties are resolved alphabetically, so
+    the order of the runs does not matter.
 
     Parameters
     ----------
@@ -351,7 +355,9 @@ def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
-    """Return the number of steps to draw before a run is judged again; 0 if none are needed or would help.
+    """Return the number of steps to draw before a run is judged again.
+
+    Return 0 if none are needed, or if divergences or heavy-tailed weights make more steps useless.
 
     Parameters
     ----------

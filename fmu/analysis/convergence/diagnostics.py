@@ -73,14 +73,14 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row per parameter, in SI units: ``mean``, ``sd``, the interval ends, named after its probability
+        One row per parameter, in SI units: ``mean``, ``sd``, the ends of the interval, named after its probability
         (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
         ``ess_tail``, and the Monte-Carlo standard errors ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``.
-        An undefined quantity is NaN, such as R-hat of a single chain, or any quantity of a constant. Plain emcee
-        (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws divided by emcee's own autocorrelation time.
-        This time is too short by about 10 times its square over the number of steps
-        (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers stay in separate
-        modes. ``attrs["units"]`` maps parameters to units.
+        R-hat is NaN for a single chain. R-hat, ESS and standard errors are NaN for a constant, a draw that is not
+        finite, or fewer than four draws. Plain emcee (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws
+        divided by emcee's own autocorrelation time. This time is too short by about 10 times its square over the
+        number of steps (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers
+        stay in separate modes. ``attrs["units"]`` maps parameters to units.
 
     Raises
     ------
@@ -140,7 +140,10 @@ def _row(x: FloatArray, walkers: int, ci_prob: float) -> dict[str, float]:
 
 
 def interval_columns(ci_prob: float) -> tuple[str, str]:
-    """Return the column names of an equal-tailed interval: ``eti90_lb`` and ``eti90_ub`` for `ci_prob` 0.9."""
+    """Return the column names of an equal-tailed interval, such as ``eti90_lb`` and ``eti90_ub`` for 0.9.
+
+    Raise ValueError unless `ci_prob` lies between 0 and 1.
+    """
     if not 0 < ci_prob < 1:
         raise ArgumentError("ci_prob", "must lie between 0 and 1", repr(ci_prob))
     return f"eti{100 * ci_prob:g}_lb", f"eti{100 * ci_prob:g}_ub"
@@ -180,8 +183,8 @@ def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
     """Return True if walkers stay in separate regions, so that more steps would not help.
 
     If walkers mix, a run spans about twice as many autocorrelation times as its first half (1.1 to 2.5 times as
-    many in 140 runs). If they stay apart, the autocorrelation time grows with the run, and the two numbers are
-    equal. In runs shorter than 3 autocorrelation times the two cases cannot be distinguished.
+    many in 140 runs). If they stay apart, the autocorrelation time grows with the run, and the slowest parameter's
+    ratio is below 1.1. In runs shorter than 3 autocorrelation times the two cases cannot be distinguished.
 
     Parameters
     ----------
@@ -200,7 +203,7 @@ def convergence_failures(
 
     A run passes if:
 
-    - it has at least two chains, and no chain stays at one point for a fifth of its draws;
+    - it has at least two chains, and no chain stays at one point for a fifth of its draws and at least 20 draws;
     - R-hat of every parameter is below 1.01;
     - bulk and tail ESS of every parameter are at least 400, and at least 100 per chain (Vehtari et al. 2021);
     - the standard errors of the means are below 0.1 posterior sd, and those of the 90 % interval ends below 0.12;
@@ -213,7 +216,7 @@ def convergence_failures(
     For an ensemble sampler, each ensemble counts as a chain. It needs at least four ensembles, a length of at
     least 50 autocorrelation times, and an R-hat over walkers below 1.05. In a shorter run, R-hat over walkers is
     reported only if walkers stay in separate regions (`rhat_over_walkers`). Plain emcee (`fmu.from_emcee`) may
-    have fewer ensembles. A single ensemble has no R-hat; the verdict then depends on the other two tests, and
+    have fewer ensembles. A single ensemble has no R-hat; the verdict then depends on the other tests, and
     `few_ensembles` states what it cannot exclude. A quantity that is NaN fails its test.
 
     Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
@@ -231,8 +234,8 @@ def convergence_failures(
     Returns
     -------
     list of str
-        One sentence for each failed test, the most serious first. The first test that more draws would remedy also
-        says about how many are needed (`fmu.analysis.convergence.remedies`).
+        One sentence for each failed test, on the worst parameter, the most serious first. If more draws would
+        help, the first such test also says about how many are needed (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
     if table is None:
@@ -285,7 +288,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Return a warning if emcee ran too few ensembles to exclude separate modes, otherwise an empty string."""
+    """Return a warning if an imported emcee run has fewer than four ensembles, otherwise an empty string."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""
@@ -309,7 +312,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if a chain or walker stays too long at one point, otherwise an empty list."""
+    """Return a list with a sentence if a chain or walker rests at a point for 20 draws and a fifth of its steps."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -336,11 +339,11 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Return the Hamiltonian trajectories that diverged as a mask, with a single 0 if there is nothing to test.
+    """Return a mask of the Hamiltonian trajectories that diverged, or a single 0 if there is none to test.
 
-    There is nothing to test if the sampler has no trajectories, or if most steps are mixture candidates. A
-    diverged trajectory stays at its starting point, but a candidate does not depend on that point, and the
-    candidates' weights show how well the mixture fits the posterior.
+    There is none if the sampler has no trajectories, or if most steps are mixture candidates. A diverged
+    trajectory stays at its starting point, but a candidate does not depend on that point, and the candidates'
+    weights show how well the mixture fits the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)
@@ -377,7 +380,7 @@ def is_beyond_draws(trace: xr.DataTree) -> bool:
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the largest value above `limit`; a NaN counts as above it."""
+    """Return a list with a sentence on the largest value unless all are below `limit`; NaN counts as above."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -385,7 +388,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a list with a sentence on the smallest value below `limit`; a NaN counts as below it."""
+    """Return a list with a sentence on the smallest value if it is below `limit`; NaN counts as below."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))
@@ -393,5 +396,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Format a value with enough digits to distinguish it from the limit."""
+    """Format a value with at least three digits, and with enough to distinguish it from the limit."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

@@ -1,11 +1,11 @@
 """R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity.
 
-All functions take draws of shape (chains, draws). Chains that never move are treated as in ArviZ
+Most functions take draws of shape (chains, draws). Chains that never move are treated as in ArviZ
 (`fmu.analysis.convergence.rank_statistics`). The walkers of an ensemble depend on each other, so an ensemble's
 draws are assessed by emcee's integrated autocorrelation time (Goodman & Weare 2010, section 5; Sokal's window).
 
-A quantity that cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN fails every
-convergence test.
+A quantity that cannot be computed (R-hat of one chain, a constant, fewer than four draws, a value that is not
+finite) is NaN, and NaN fails every convergence test.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _BATCHES = 20
 def rhat(x: FloatArray) -> float:
     """Return the rank-normalised split R-hat: the larger of bulk and folded (Vehtari et al. 2021, section 4.1).
 
-    R-hat is NaN for one chain, a constant, fewer than four draws, or a draw that is not finite.
+    It is NaN for one chain, a constant, fewer than four draws or a non-finite draw, and infinite if no chain
+    moves.
     """
     if len(x) < 2 or _is_degenerate(x):
         return np.nan
@@ -59,7 +60,7 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
     """Return the tail ESS, the smaller ESS of the 5 % and 95 % quantiles.
 
-    It is NaN if more than 5 % of the draws equal the largest one.
+    It is also NaN if more than 5 % of the draws equal the largest one.
     """
     if _is_degenerate(x):
         return np.nan
@@ -92,8 +93,8 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the standard error of s² divided by 2 s.
 
-    The smaller of the squares' ESS and the tail ESS is used, because the latter shows slow mixing in a tail
-    earlier.
+    The smaller of the squares' ESS and the tail ESS is used, NaN ignored, because the latter shows slow mixing in
+    a tail earlier.
     """
     if _is_degenerate(x):
         return np.nan
@@ -103,7 +104,7 @@ def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of a quantile q_p.
+    """Return the Monte-Carlo standard error of a quantile q_p; NaN if no draw exceeds q_p.
 
     It is the error of the fraction of draws below q_p, divided by the density at q_p:
 
@@ -188,7 +189,7 @@ def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the thinning interval that keeps at most `most` step-major draws and is coprime with `walkers`."""
+    """Return the smallest interval that thins step-major draws to at most `most` and is coprime with `walkers`."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -207,12 +208,12 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
 
 
 def _ensemble_ess(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the ESS of the mean: number of draws divided by autocorrelation time, summed over ensembles."""
+    """Return the ESS of the mean: draws divided by autocorrelation time, summed over ensembles."""
     return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))
 
 
 def _is_degenerate(x: FloatArray) -> bool:
-    """Return True if there are fewer than four draws, a draw is not finite, or all draws are equal."""
+    """Return True if chains have fewer than four draws, a draw is not finite, or all draws are equal."""
     return x.shape[1] < _MIN_DRAWS or not np.all(np.isfinite(x)) or bool(np.ptp(x) == 0)
 
 
@@ -343,7 +344,7 @@ MOST_RANKED_OF_RUNNING = 1500
 
 
 def lengths(steps: int, n: int = LENGTHS) -> IntArray:
-    """Return up to `n` increasing step counts that end at `steps`, evenly spaced on a logarithmic scale."""
+    """Return up to `n` increasing step counts from at most 20 to `steps`, evenly spaced on a logarithmic scale."""
     return np.unique(np.geomspace(min(_FEWEST, steps), steps, n).round().astype(np.int64))
 
 

@@ -25,9 +25,10 @@ class Growth(NamedTuple):
     Attributes
     ----------
     steps : ndarray of int, shape (n,)
-        Increasing numbers of draws per chain.
+        Increasing numbers of draws per chain, or of steps for an ensemble.
     solves : ndarray, shape (n,)
-        Cost of these draws in solves, warm-up included; an exact gradient counts as ``gradient_cost`` solves.
+        Cost of these draws in solves, including the warm-up but not the search for maxima; an exact gradient
+        counts as ``gradient_cost`` solves.
     ess : ndarray, shape (n,)
         The smaller of bulk and tail ESS.
     rhat : ndarray, shape (n,)
@@ -53,7 +54,7 @@ def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
     ----------
     trace : xarray.DataTree
     at : ndarray of int, optional
-        Numbers of draws per chain. Defaults to the `lengths` of the run.
+        Numbers of draws per chain, or of steps for an ensemble. Defaults to the `lengths` of the run.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -91,14 +92,14 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
     """Return the number of solves at which a run first met the criterion, warm-up included.
 
-    The result is NaN if the run never met it.
+    The solves of the search for maxima are not included. The result is NaN if the run never met the criterion.
 
     Parameters
     ----------
     trace : xarray.DataTree
     grown : Growth, optional
-        ``growth(trace)``, if already computed. Bisection between its steps finds the first draw that meets the
-        criterion.
+        ``growth(trace)``, if already computed. Between its last step that fails and its first step that meets the
+        criterion, up to five bisections improve the number.
     """
     grown = growth(trace) if grown is None else grown
     chains = trace["posterior"].sizes["chain"]

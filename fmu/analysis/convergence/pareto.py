@@ -37,7 +37,8 @@ def pareto_k(log_w: FloatArray) -> float:
     """Return the Pareto shape parameter k of importance weights, given their logarithms (n,).
 
     k is infinite if fewer than five weights form the tail, or if the largest weights are all equal, as in a chain
-    that has not moved. It is minus infinity if all weights are equal.
+    that has not moved. It is minus infinity if all weights are equal, and NaN if the lower quarter of the tail is
+    constant.
     """
     try:
         return _tail(log_w - np.max(log_w)).shape
@@ -46,7 +47,7 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Return a clause if the candidate weights' Pareto k is too large, otherwise an empty string."""
+    """Return a clause if the candidate weights' Pareto k is above `GOOD_K` or NaN, otherwise an empty string."""
     if k <= GOOD_K:
         return ""
     return (
@@ -58,8 +59,8 @@ def heavy_tail_in_words(k: float) -> str:
 def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatArray, float]:
     """Return the logarithms of Pareto-smoothed weights, (n,), and the Pareto shape k of their tail.
 
-    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them. The smoothed
-    weights sum to 1.
+    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, unless k is
+    infinite or NaN. The weights returned sum to 1.
 
     Parameters
     ----------

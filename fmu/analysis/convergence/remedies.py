@@ -47,7 +47,7 @@ def required_ess(chains: int) -> int:
 
 
 def without_scores(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a summary without the rows of test scores, which do not decide on convergence.
+    """Return a summary without the rows of test scores, of which only R-hat is tested, with a limit of its own.
 
     A test score is a test's standardised deviation from the population mean. There are many of them, so the worst
     R-hat or ESS among them is poor by chance alone. Their information is contained in the population's mean and
@@ -63,7 +63,8 @@ def _is_score(table: pd.DataFrame) -> BoolArray:
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
     """Return the factor by which the number of draws must grow until ESS and standard errors suffice.
 
-    ESS grows, and squared standard errors fall, in proportion to the number of draws.
+    ESS grows, and squared standard errors fall, in proportion to the number of draws. With `lengths`, the factor
+    also makes the run long enough for an ensemble sampler.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     Returns
     -------
     float
-        At most 1 if ESS and standard errors already suffice; NaN if one of them is undefined.
+        At most 1 if all of them already suffice; NaN if one of them is undefined.
     """
     table = without_scores(table)
     limits = {"mcse_mean": MCSE_LIMIT, **dict.fromkeys(MCSE_OF_ENDS, MCSE_LIMIT_OF_ENDS)}
@@ -94,7 +95,10 @@ def fewest(table: pd.DataFrame) -> float:
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return the largest (R-hat − 1)/(limit − 1) of all parameters. It exceeds 1 if an R-hat exceeds its limit."""
+    """Return the largest (R-hat − 1)/(limit − 1) of all parameters; NaN if an R-hat is NaN.
+
+    It exceeds 1 if an R-hat exceeds its limit.
+    """
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
@@ -102,9 +106,10 @@ def rhat_excess(table: pd.DataFrame) -> float:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return the number of steps to draw before an insufficient run is judged again.
 
-    If few steps are missing according to `growth`, the run grows by all of them plus 1 %, otherwise by 80 % of
-    them. It is at most doubled, because a longer run gives a better prediction. If only R-hat is too high, the run
-    grows by 5 to 15 %, because R-hat scatters too much for a prediction. In all other cases the run is doubled.
+    If `growth` is below 1.1, the run is extended to 1.01 times the predicted length, and by at least 2 %. If it is
+    larger, 80 % of the missing steps are drawn. The run is at most doubled, because a longer run gives a better
+    prediction. If only R-hat is too high, the run grows by 5 to 15 %, because R-hat scatters too much for a
+    prediction. In all other cases the run is doubled.
 
     Parameters
     ----------
@@ -178,7 +183,8 @@ def for_too_few_draws(
 ) -> str:
     """Return a clause on how many draws a run needs, or on how to make its chains agree.
 
-    The clause is empty if R-hat or an ESS is undefined, or for a single chain that is not from plain emcee.
+    The clause is empty if an ESS or a standard error is undefined, or for a single chain that is not from plain
+    emcee.
 
     Parameters
     ----------
