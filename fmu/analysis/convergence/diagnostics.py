@@ -312,7 +312,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if a chain or walker rests at a point for 20 draws and a fifth of its steps."""
+    """Return a list with a sentence if a chain or walker stays put for a fifth of its steps, and at least 20."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers

@@ -1,7 +1,7 @@
-"""Mixture components along the funnel that the posterior of a model with discrepancy forms.
+"""Mixture components along the funnel-shaped posterior of a model with discrepancy.
 
-The larger the discrepancy, the wider is the posterior of the other parameters. Given the size τ of the
-discrepancy, the posterior is nearly Gaussian, to first order with the covariance (Jᵀ V(τ)⁻¹ J + prior
+The larger the discrepancy, the wider the posterior of the other parameters. Given the size τ of the
+discrepancy, the posterior is nearly Gaussian. To first order, its covariance is (Jᵀ V(τ)⁻¹ J + prior
 precision)⁻¹. A Gaussian at the highest point for each τ of a fine grid therefore covers the posterior, where a few
 Gaussians would not.
 """
@@ -59,7 +59,7 @@ class _Components(NamedTuple):
         return np.asarray(share / share.sum())
 
     def drop_small(self) -> _Components:
-        """Return only the components whose mass is not negligible."""
+        """Return only the components with more than 1 % of the largest component's mass."""
         kept = self.log_mass > self.log_mass.max() + np.log(_MATTERS)
         return _Components([q for q, one in zip(self.quadratics, kept, strict=True) if one], self.log_mass[kept])
 
@@ -172,7 +172,8 @@ class _Given:
         """Return the index of the parameter with the highest plateau of the density, or −1 if there is none.
 
         The density is compared with a component along each parameter, with the others at their means given its
-        value. A parameter whose standard deviation in the component is below `least` (ndim,) is left out.
+        value. The size of the discrepancy is left out, and so is a parameter whose standard deviation in the
+        component is below `least` (ndim,).
         """
         covariance = np.linalg.inv(component.hessian)
         sd = np.sqrt(np.diag(covariance))

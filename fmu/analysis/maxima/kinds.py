@@ -105,5 +105,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Return a mask (n,) of the maxima whose log-probability is so low that they have no mass, however wide."""
+    """Return a mask (n,) of the maxima that are too low for their mass to matter, even if they are very wide."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

@@ -108,7 +108,9 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
 
     If the two differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong; the estimate with the larger
     ESS counts. For the fraction this is the ESS of the indicator "at this maximum", or the number of chains if no
-    chain ever changes maxima. For the probability it is the ESS of the importance weights.
+    chain ever changes maxima. For the probability it is the ESS of the importance weights. If no draw is near some
+    important maximum, only such maxima are reported. Otherwise nothing is reported if a draw is higher than all
+    maxima, whose masses are then unreliable; nor for a plain log-density whose maxima have no reliable masses.
 
     Parameters
     ----------
@@ -216,7 +218,7 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Return True if a fraction of draws and a posterior probability differ too much; False if both are small."""
+    """Return True if a fraction of draws and a probability, not both below 5 %, differ more than tenfold."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
@@ -266,13 +268,13 @@ def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> N
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
-    """Return a sentence on each region of significant probability that another run visited and this run missed.
+    """Return a sentence on each region with more than 1 % of the mass that another run visited, but not this run.
 
     A draw of another run is far if its distance to every draw of this run exceeds three times the distance between
     this run's chains, in the metric of the covariance within those chains. The mass of the far draws is estimated
     as exp(E[log P] + S), where S is the entropy of a Gaussian; this is exact if P is Gaussian. It is compared with
     the same estimate for this run, or with the total mass of the known maxima if that is larger. Regions near a
-    known maximum are reported by `missed_maxima`.
+    known maximum are left to `missed_maxima`.
 
     Parameters
     ----------
@@ -363,9 +365,10 @@ def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[Flo
 
 
 def _log_mass(theta: FloatArray, log_prob: FloatArray) -> float:
-    """Estimate log ∫ P over a region from the draws in it; return −inf if there are too few draws.
+    """Estimate log ∫ P over a region from the draws in it.
 
-    The estimate is E[log P] plus the entropy of a Gaussian with the draws' covariance.
+    The estimate is E[log P] plus the entropy of a Gaussian with the draws' covariance. It is −inf for fewer than
+    20 draws, or if a parameter is constant.
     """
     if len(theta) < _FEWEST_DRAWS:
         return -np.inf

@@ -55,10 +55,11 @@ def mode_weights(
     """Estimate the posterior mass around each maximum.
 
     The first estimate is the Laplace approximation within the bounds, ∫ exp(m) du, where m is the quadratic model.
-    It is final for maxima with less than e⁻⁴⁰ of the largest mass. A maximum so low that no width can compensate
-    for it has no mass. The other masses come from importance sampling of P, with `draws` draws from each maximum's
-    Gaussian and as many from a Gaussian of twice its width. All draws are weighted by the density of their
-    mixture, and divided among the maxima in proportion to exp(m).
+    It is final for maxima with less than e⁻⁴⁰ of the largest mass, or without a draw of finite weight. A maximum
+    so low that no width can compensate for it has no mass (`log_mass` is −inf). The other masses come from
+    importance sampling of P, with `draws` draws from each maximum's Gaussian and as many from a Gaussian of twice
+    its width. All draws are weighted by the density of their mixture, and divided among the maxima in proportion
+    to exp(m).
 
     Parameters
     ----------
@@ -130,7 +131,10 @@ def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic])
 
 
 def _weigh_draws(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
-    """Return the mean importance weight as the mass, with the weighted mean and covariance of u (n, ndim)."""
+    """Return the mean importance weight as the mass, with the weighted mean and covariance of u (n, ndim).
+
+    If `effective` is None, the ESS is computed from the weights.
+    """
     log_sum = float(logsumexp(log_w))
     w = np.exp(log_w - log_sum)
     mean = w @ u

@@ -120,7 +120,10 @@ class PlainDensity:
         return np.empty((*np.shape(theta)[:-1], 0))
 
     def log_prob(self, theta: ArrayLike) -> Any:
-        """Return the log-density at theta (ndim,) or (n, ndim); −inf if it is not finite."""
+        """Return the log-density at theta (ndim,) or (n, ndim); −inf if it is not finite.
+
+        Raise ValueError unless the density returns one real number for each theta.
+        """
         points = np.atleast_2d(theta)
         count_solves(len(points))
         with _tell_where(points):
@@ -171,8 +174,10 @@ class PlainDensity:
     def doubts(self, best: Maxima, found: Sequence[Maximum], is_spent: bool) -> tuple[str, ...]:
         """Return the reasons why there may be other maxima than those found, one sentence each.
 
-        If every maximum was reached from at least two starting points, further starting points would hardly find
-        another one (Good 1953, Biometrika 40, 237-264). If one was reached only once, there may well be more.
+        If every important maximum was reached from at least two starting points, further starting points would
+        hardly find another one (Good 1953, Biometrika 40, 237-264). If one was reached only once, there may well
+        be more. Other reasons are a region without bounds or a prior, a search that ended at its limit, and
+        unreliable masses of several maxima.
 
         Parameters
         ----------

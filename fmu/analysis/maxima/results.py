@@ -68,21 +68,21 @@ class PosteriorMaximum:
     log_prob : float
         Log-probability, as returned by ``problem.log_prob``.
     frequencies : ndarray, shape (n_modes,)
-        Computed frequencies in Hz, paired with the measured modes.
+        Computed frequencies in Hz, paired with the measured modes; empty for a plain log-density.
     starts : int
         Number of starting points from which the optimiser reached this maximum.
     at_bound : ndarray of int, shape (ndim,)
         −1 where the lower bound is active, 1 where the upper bound is active, otherwise 0.
     gradient : ndarray, shape (ndim,)
-        Gradient of the log-probability; not zero if a bound is active.
+        Gradient of the log-probability; not zero across an active bound, or at a point that is no smooth maximum.
     hessian : ndarray, shape (ndim, ndim)
         −∇² log P or an approximation.
     curvature : str
-        Source of the Hessian: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
+        Source of the Hessian: ``"differences"`` of the gradient, or ``"Gauss-Newton"``.
     mean, sd : ndarray, shape (ndim,)
         Mean and standard deviation over the part of the posterior that belongs to this maximum.
     log_mass : float
-        Logarithm of the integral ∫ P(D|θ) P(θ) dθ over this part.
+        Logarithm of the integral ∫ P(D|θ) P(θ) dθ over this part; −inf if the maximum is too low to matter.
     effective_draws : float
         ESS of `mean`, `sd` and `log_mass`; 0 if they come from the Laplace approximation alone.
     share : float
@@ -151,7 +151,8 @@ class Maxima:
         as a search can.
     level : float
         Third-highest log-density at points scattered over the region in which a plain density was searched. If
-        draws lie above this level, the points are too sparse to find another mode as narrow as this one.
+        draws lie above this level, the points are too sparse to find another mode as narrow as this one. Infinite
+        for an updating problem.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -305,7 +306,10 @@ class Maxima:
         ]
 
     def as_text(self, most_rows: int | None = None) -> str:
-        """Return the table as text, or only the maxima's probabilities if it has more than `most_rows` rows."""
+        """Return the table as text, or only the maxima's probabilities if it has more than `most_rows` rows.
+
+        Sentences on points that are no maxima and on active bounds follow.
+        """
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]

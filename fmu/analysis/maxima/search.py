@@ -85,8 +85,8 @@ def find_map(
     """Find the maxima of the posterior within the bounds, with the curvature and mass of each.
 
     This is updating to a single parameter vector. It also shows what no sampler can show by itself: whether the
-    posterior has other maxima, and how much probability they hold. The result is cached with the problem, so a
-    second search with the same number of starting points and the same seed costs nothing.
+    posterior has other maxima, and how much probability they hold. The result is cached with an updating problem,
+    so a second search with the same number of starting points and the same seed costs nothing.
 
     If the model is a function without derivatives that takes 0.05 s or longer, the search takes about as many
     solves as building a surrogate, unless `starts` is given; `Maxima.doubts` then says after how many starting
@@ -95,7 +95,7 @@ def find_map(
     For any other log-density, the starting points are drawn from its prior (``sample_prior``), or within its
     bounds. A density with neither is searched around its starting point, which excludes no other maxima;
     `Maxima.doubts` and the verdict on a run state this. A maximum that attracts fewer than one in `starts`
-    starting points may be missed.
+    starting points may be missed. Unless `starts` is given, the search ends after 20 000 evaluations.
 
     Parameters
     ----------
@@ -110,15 +110,15 @@ def find_map(
     Returns
     -------
     Maxima
-        The maxima, the highest first. The Hessians are differences of the exact gradient if the gradient is smooth
+        The maxima, the highest first. The Hessians are differences of the gradient if the gradient is smooth
         (`hessian_at`). The masses are integrals within the bounds by importance sampling around each maximum
         (`mode_weights`), so they account for active bounds and non-Gaussian shapes.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive, `problem` is no log-density or has a population, or a plain log-density is
-        finite at none of the starting points.
+        If `starts` is not between 1 and 1 000 000, `problem` is no log-density or has a population, or the
+        log-density is finite at none of the starting points.
     """
     if not is_searchable(problem):
         raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
@@ -160,7 +160,10 @@ def _most_solves(problem: UpdatingProblem) -> float:
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
-    """Return the maxima of a plain log-density, with the reasons why there may be others (`Maxima.doubts`)."""
+    """Return the maxima of a plain log-density, with the reasons why there may be others (`Maxima.doubts`).
+
+    Only the highest eight are returned. Raise ValueError if the density is finite at no starting point.
+    """
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf
@@ -246,7 +249,8 @@ def quadratic_at(
 ) -> tuple[Quadratic, str]:
     """Return the second-order expansion of log P at a maximum, in scaled coordinates, and its Hessian's source.
 
-    The source is ``"differences"`` or ``"Gauss-Newton"``; see `hessian_at`.
+    The source is ``"differences"`` or ``"Gauss-Newton"``; see `hessian_at`. Where the gradient is not finite, it
+    is taken to be 0.
     """
     gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
     gradient = np.where(np.isfinite(gradient), gradient, 0.0)  # at an edge
@@ -292,11 +296,11 @@ _SMOOTH = 0.3
 def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = False) -> tuple[FloatArray, str]:
     """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and how it was computed.
 
-    The Hessian is computed from differences of the exact gradient, one-sided at the bounds. The step is a
+    The Hessian is computed from differences of the gradient, one-sided at the bounds. The step is a
     twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero. Where modes swap, the
     gradient jumps, and differences with another step disagree. For modal errors the Gauss–Newton matrix is then
-    used: JᵀJ of the residuals plus the curvature of the prior. It may be ten times too small if residuals are
-    several standard deviations.
+    used, and also if the Hessian is not positive definite away from the bounds: JᵀJ of the residuals plus the
+    curvature of the prior. It may be ten times too small if residuals are several standard deviations.
 
     Parameters
     ----------
@@ -335,7 +339,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
     """Return the symmetrised Hessian (ndim, ndim) from differences of the gradient over ± `step` (ndim,).
 
-    Both are in scaled coordinates.
+    Both are in scaled coordinates. Entries that are not finite are set to 0.
     """
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway

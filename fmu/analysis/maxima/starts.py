@@ -76,6 +76,11 @@ def choose_starts(
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
+
+    Raises
+    ------
+    ValueError
+        If scattered points are needed, and the density is finite at none of them.
     """
     if not isinstance(init, str):
         positions = np.asarray(init, dtype=float)
@@ -189,11 +194,11 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:
     """Return quadratic models at the important maxima, in scaled coordinates, their mixture weights, and a warp.
 
-    Half of the weight is proportional to the posterior probabilities of the maxima, half is equal. A sampler then
-    gets enough first candidates around each maximum to find its shape, and notices a probability that was
-    estimated far too low. If `maxima` is None, the single component is at the typical point of a hierarchical
-    posterior. If the quadratic models are poor because a discrepancy is inferred, the components lie along its
-    funnel instead. They are then Gaussians in the coordinates of the warp, which is None otherwise.
+    At most eight maxima are taken. Half of the weight is proportional to their posterior probabilities, half is
+    equal. A sampler then gets enough first candidates around each maximum to find its shape, and notices a
+    probability that was estimated far too low. If `maxima` is None, the single component is at the typical point
+    of a hierarchical posterior. If the quadratic models are poor because a discrepancy is inferred, the components
+    lie along its funnel instead. They are then Gaussians in the coordinates of the warp, which is None otherwise.
     """
     if maxima is None:
         return [middle(density)], np.ones(1), None
@@ -211,8 +216,8 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
 def are_in_funnel(problem: UpdatingProblem, maxima: Maxima) -> bool:
     """Return True if the posterior is a funnel with its maximum in the neck, which model discrepancy may cause.
 
-    The more the parameters scatter, the wider is their posterior. Its maximum is at little scatter, and hardly any
-    draw around it has posterior weight. Return False if several maxima matter.
+    The more the parameters scatter, the wider their posterior. Its maximum is at little scatter, and hardly any
+    draw around it has posterior weight. Return False without a discrepancy, or if several maxima matter.
     """
     if not problem.likelihood.has_discrepancy:
         return False
@@ -233,10 +238,11 @@ def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic
 def allot_chains(share: FloatArray, n: int) -> IntArray:
     """Return the index of the maximum at which each of `n` chains starts, shape (n,), in ascending order.
 
-    Every maximum gets one chain, the most probable maxima first if there are too few chains. The remaining chains
-    are allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the probabilities.
-    Maxima with a probability below 1 %, or below a tenth of 1/n, get none: a chain that never leaves one of them
-    would be out of proportion (`fmu.analysis.maxima.missed.compare_shares`).
+    Maxima with a probability below 1 %, or below a tenth of 1/n, get no chain: a chain that never leaves one of
+    them would be out of proportion (`fmu.analysis.maxima.missed.compare_shares`). Every other maximum gets one
+    chain, the most probable first if there are too few chains. The remaining chains are allotted by the method of
+    Webster and Sainte-Laguë, whose whole numbers are closest to the probabilities. If all probabilities are too
+    small, all chains start at the most probable maximum.
 
     Parameters
     ----------

@@ -2,7 +2,8 @@
 
 A plan's parameters ψ are the parameters in theta that matter for the planned test, plus its test scores: its
 standardised deviations from the population means. For a decision about damage after a single test, ψ also
-includes the stiffness losses since then. The structural parameters in the planned test are functions of ψ.
+includes the parameters' relative losses since then. The structural parameters in the planned test are functions
+of ψ.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ class Before:
     test : int
         Index of the earlier test that the planned one resembles.
     every : ndarray, shape (n_every,)
-        Reference values of all parameters, of which ψ is a subset: the starting point or, after earlier tests, the
-        posterior mean.
+        Reference values of all parameters, of which ψ is a subset: the starting point or, after several tests or
+        with a run, the posterior mean. Test scores and losses have their prior medians.
     columns : ndarray of int, shape (P,)
         Indices of ψ among all parameters.
     parameters : tuple of Parameter
@@ -61,10 +62,10 @@ class Before:
     scale : ndarray, shape (P, P)
         L, where LLᵀ is the covariance of ψ.
     losses : tuple of int
-        Index in theta of each parameter that may have lost stiffness since a single test. The losses are the last
+        Index in theta of each parameter that may have decreased since a single test. The losses are the last
         entries of all parameters.
     is_prior : bool
-        Whether ψ are all the updated parameters of a single test, with their priors.
+        Whether ψ are the structural parameters of a single test, all of them updated, with their priors.
     doubts : tuple of str
         Reasons why the linearised posterior of earlier tests may be wrong.
     """
@@ -92,10 +93,7 @@ class Before:
 
     @property
     def _configuration(self) -> tuple[ModalModel, list[int]]:
-        """Model of the earlier test that the planned one resembles.
-
-        The second value contains the indices of its parameters among the structural parameters.
-        """
+        """Model of the earlier test that the planned one resembles, and indices of its structural parameters."""
         whole = self.problem.model
         if not isinstance(whole, ModelInTests):
             return whole, list(range(whole.n_parameters))
@@ -127,7 +125,7 @@ class Before:
         return self.all_at(psi)[:, : self.problem.n_structural]
 
     def losses_at(self, psi: FloatArray) -> FloatArray:
-        """Return the stiffness losses since the single test at ψ (n, P), shape (n, n_losses)."""
+        """Return the relative losses since the single test at ψ (n, P), shape (n, n_losses)."""
         return self.all_at(psi)[:, len(self.every) - len(self.losses) :]
 
     def values(self, psi: FloatArray) -> FloatArray:
@@ -154,7 +152,7 @@ class Before:
     def chain(self, seen: ModalPrediction) -> ModalPrediction:
         """Convert modal derivatives with respect to the model parameters to derivatives with respect to ψ.
 
-        The chain rule is applied at each draw.
+        The chain rule is applied at each draw. If ψ are the model parameters, `seen` is returned unchanged.
         """
         if not self.losses and self.problem.layout.is_identity:
             return seen
@@ -204,7 +202,7 @@ def known_before(
     like : str or None
         Name of the test that the planned one resembles. Defaults to the last test.
     losses : sequence of Parameter
-        Stiffness losses since a single test, each named after a parameter of theta followed by " loss".
+        Relative losses since a single test, each named after a parameter of theta followed by " loss".
     n : int
         Number of draws.
     rng : Generator
@@ -212,8 +210,8 @@ def known_before(
     Raises
     ------
     ValueError
-        If the trace belongs to another problem, no test is named `like`, a parameter has a separate value in each
-        test, or a hierarchical problem with a discrepancy has no trace.
+        If the trace is not a trace or has other parameters, `like` is not the name of one of several tests, a
+        parameter has a separate value in each test, or a hierarchical problem with a discrepancy has no trace.
     """
     tests, p = [test.name for test in problem.tests], problem.n_structural
     several = len(tests) > 1
@@ -266,7 +264,7 @@ def known_before(
 
 
 def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
-    """Return the structural parameters that vary between tests as populations, ordered as in ``layout.drawn``."""
+    """Return the structural parameters that form populations over the tests, ordered as in ``layout.drawn``."""
     layout = problem.layout
     return [p for p in layout.structural if p.name in layout.populations]
 
@@ -276,8 +274,8 @@ def _linearised_posterior(
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return draws from the tests' linearised posterior, (n, n_structural), and reasons to doubt it.
 
-    The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters vary between
-    tests, it is approximated at the typical point instead.
+    The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters form populations,
+    it is approximated at the typical point instead. Raise ValueError if the model then also has a discrepancy.
     """
     p = problem.n_structural
     if problem.is_hierarchical:

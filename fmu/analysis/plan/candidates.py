@@ -1,6 +1,6 @@
 """Candidate sensors of a planned test: their places, their costs, and the sensors already mounted.
 
-A channel is one place and direction; a triaxial sensor has three. Channels are the rows of the mode-shape
+A channel is one place and direction; a triaxial sensor has up to three. Channels are the rows of the mode-shape
 matrices.
 """
 
@@ -104,7 +104,7 @@ def find_candidates(
     mounted : sequence of (place, direction)
         Channels that are already mounted.
     exclude : collection of place
-        Places out of reach.
+        Places where no sensor can be mounted.
     triaxial : bool
         Whether one sensor reads all candidate directions at its place.
     costs : mapping of place to float
@@ -113,8 +113,8 @@ def find_candidates(
     Raises
     ------
     ValueError
-        If a sensor or a place does not exist, a sensor is given twice, a cost is not positive, or no candidate is
-        left.
+        If a sensor or a place does not exist, a sensor is given twice (in a list of fewer than 100), a cost is not
+        positive, or no candidate is left.
     """
     require_sensors(given, mounted, structure.sees, "must be a place and a direction that are free to move")
     require_places({place for place, _ in structure.dof_of} | _places(structure), exclude, costs)

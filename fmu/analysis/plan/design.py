@@ -21,7 +21,7 @@ class Design:
     Attributes
     ----------
     parameters : tuple of Parameter
-        The p parameters that affect the test.
+        The p parameters that affect the test or the target.
     scale : ndarray, shape (p, p)
         L, where LLᵀ is the parameter covariance before the test, SI units.
     found : Sensitivities
@@ -29,7 +29,7 @@ class Design:
     modes : tuple of int
         Modes to be measured, as 0-based indices into the modes of `found`.
     frequency_sd : ndarray, shape (n_modes,)
-        Relative standard deviations of the measured frequencies.
+        Relative standard deviations of the measured frequencies, without drift.
     shape_sd : float
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     target : ndarray, shape (n, t, p), or None

@@ -77,9 +77,9 @@ class Linearised:
     structure : SeparableModel or None
         Structure in the planned test; None for a model without matrices.
     places : ndarray, shape (n_candidates, 3), m, or None
-        Coordinates of the candidates.
+        Coordinates of the candidates; None if they are unknown.
     energy : ndarray, shape (rows,), or None
-        Kinetic energy of the modes at each channel.
+        Kinetic energy of the modes at each channel; None for a model without matrices.
     second : dict
         For each change, the sensitivities of the changed structure and the indices of its modes.
     """
@@ -133,7 +133,7 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
     """Linearise the test of a user's function or a surrogate, whose candidates are the sensors in the data.
 
-    Raise ValueError if the test has changes, or the data lack the modes or channels.
+    Raise ValueError if the test has changes, the data lack the modes or channels, or no candidate sees a mode.
     """
     if wishes.changes:
         raise ArgumentError("changes", "need a model with matrices", before.model.name)
@@ -164,9 +164,9 @@ def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return only the candidates that some mode moves.
+    """Return only the candidates and channels that some mode moves.
 
-    Raise ValueError if the user named a candidate that no mode moves.
+    Raise ValueError if no mode moves a mounted sensor or, if `are_named`, a candidate.
     """
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
@@ -193,7 +193,10 @@ def _own_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Return the candidates of a model that has no matrices, which are the sensors of the problem's data."""
+    """Return the candidates of a model that has no matrices, which are the sensors of the problem's data.
+
+    Raise ValueError if the model gives no mode shapes, or a sensor or place is not in the data.
+    """
     own = before.data.sensors
     if not (before.model.gives_shapes and own):
         rule = "must give shapes at the sensors of its data, which are the candidates of a model without matrices"
@@ -214,6 +217,7 @@ def _of_change(
     """Return the changed structure's sensitivities at the same candidates, and the modes to measure on it.
 
     The modes chosen are those most similar, by MAC at the candidates, to the modes of the unchanged structure.
+    Raise ValueError, with `name` in its message, if the change does not suit the structure.
     """
     before = paired.observed(start[None]).shapes[0][:, list(picked)]
     try:

@@ -39,7 +39,9 @@ class Pairing:
 
 
 def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator) -> Pairing:
-    """Simulate measured mode shapes with errors, and pair them by MAC with all modes of the model.
+    """Simulate ten measured tests at each draw, and pair their mode shapes by MAC with all computed modes.
+
+    The computed modes include the spare ones above the measured modes.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def plan(
     exchanges maximise the expected information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J). An upper bound from convex
     relaxation shows how far the plan can be from the best choice. Parameter bounds and non-Gaussian posteriors are
     ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the most informative sensors would not
-    let the modes be paired by MAC, only choices that do are considered.
+    let the modes be paired by MAC, only choices that do are considered, if there are any.
 
     Parameters
     ----------
@@ -87,19 +87,20 @@ def plan(
     mounted : sequence of (place, direction)
         Sensors that stay where they are.
     exclude : sequence of place
-        Places out of reach.
+        Places where no sensor can be mounted.
     min_distance : float, m
-        Smallest distance between two sensors.
+        Smallest distance between two sensors. It requires a model with coordinates.
     costs : mapping of place to float, optional
         Costs of sensors at these places; 1 at all others.
     budget : float, optional
-        Largest total cost of the chosen sensors.
+        Largest total cost of the chosen sensors. By default, there is no limit.
     modes : int or sequence of int, optional
         Number of modes to measure, starting from the lowest elastic mode that the candidates see; or the mode
         numbers, from 1, among all elastic modes. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
-        Relative standard deviation of the frequencies in one test. Defaults to those of the problem's frequency
-        errors, or to their median if the number of modes is another; to 0.005 without frequency errors.
+        Relative standard deviation of the frequencies in one test. Defaults to the standard deviations of the
+        problem's frequency errors, or to their median if another number of modes is planned; to 0.005 without
+        frequency errors.
     shape_sd : float
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     drift : float
@@ -108,7 +109,7 @@ def plan(
         Purpose of the test, if not all parameters matter equally: parameter names, a combination as weights by
         name, a prediction that maps theta (n, ndim) to (n,), or a decision about damage (`fmu.DamageTarget`).
     changes : mapping of str to Change, optional
-        Known structural changes, each for a second test, keyed by name.
+        Known structural changes, each for a second test, keyed by name. They require a model with matrices.
     place_names : mapping of place to str, optional
         Names of places in tables and files, for example of numbered nodes.
     like : str, optional
@@ -117,8 +118,9 @@ def plan(
     trace : DataTree, optional
         A run of the same problem, whose posterior replaces the prior.
     draws : int
-        Number of draws at which the model is linearised.
+        Number of draws at which the model is linearised, 2 to 10 000.
     seed : int
+        Seed of the random numbers.
 
     Returns
     -------
@@ -127,9 +129,13 @@ def plan(
     Raises
     ------
     ValueError
-        If a sensor does not exist, there are fewer candidates than sensors, the candidates do not see a mode, no
-        mode moves a candidate, the model gives no mode shapes, the target is not one of the parameters, or a
-        parameter has a separate value in each test.
+        If a sensor or place does not exist, a sensor is given twice, there are fewer candidates than sensors, the
+        budget is too small for one sensor, a cost is not positive, the candidates do not see a mode, no mode moves
+        a candidate, the modes are not distinct or the model lacks one, `frequency_sd` has the wrong shape, the
+        model gives no mode shapes, `changes` or `min_distance` is given for a model without matrices or
+        coordinates, `like` is not the name of a test, the trace has other parameters, the target names an
+        unknown parameter or depends on none, or a parameter has a separate value in each test. If parameters form
+        populations and the model has a discrepancy, also if there is no trace.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -192,7 +198,7 @@ def _choose(
     relaxed: Relaxed,
     can_pair: Callable[[Sequence[int]], bool],
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the most informative choice, and the most informative choice that allows pairing by MAC.
+    """Return the most informative choice found, and the most informative one that allows pairing by MAC.
 
     The second is the same as the first if no choice allows pairing.
     """
@@ -249,7 +255,10 @@ def _per_mode(given: ArrayLike, n_modes: int) -> FloatArray:
 
 
 def _usual_choices(design: Design, limits: Limits, energy: FloatArray | None) -> dict[str, tuple[int, ...]]:
-    """Return the choices that the customary rules make within the budget, keyed by rule."""
+    """Return the choices that the customary rules make within the budget, keyed by rule.
+
+    The rule of kinetic energy requires a model with matrices. The minimum distance is ignored.
+    """
     shapes, groups = design.found.nominal.shapes[0][:, list(design.modes)], design.candidates.groups
     rules: dict[str, Callable[[Limits], tuple[int, ...]]] = {
         INDEPENDENCE: lambda limits: baselines.effective_independence(shapes, groups, limits),

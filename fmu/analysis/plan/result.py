@@ -52,18 +52,19 @@ class Plan:
     usual : dict of str to tuple of int
         Choices made by the customary rules.
     places : ndarray, shape (n_candidates, 3), m, or None
-        Coordinates of the candidates.
+        Coordinates of the candidates; None if they are unknown.
     place_names : mapping of place to str
         Names of places in tables and files.
     information : float
-        Expected information gain in nats.
+        Expected information gain in nats, about the target or, without one, about all parameters.
     bound : float
-        Upper bound on the information of any choice with as many sensors, in nats.
+        Upper bound on the information of any choice with as many sensors or within the budget, in nats.
     curve : DataFrame
-        ``information`` of the first n sensors, one row per n.
+        ``information`` of the mounted sensors and the first n chosen ones, one row per n from 0.
     choices : DataFrame
         The plan and the customary choices: ``information``; ``median_sd``, relative to before the test;
-        ``largest_auto_mac`` off the diagonal; ``wrong_pairs``, the largest fraction of wrong pairings of any mode.
+        ``largest_auto_mac`` off the diagonal; ``wrong_pairs``, the largest fraction of wrong pairings of any mode;
+        for a decision about damage, also ``if_none`` and ``if_twice`` (`Decision.worst`).
     modes, repeats, second_tests : DataFrame
         See `fmu.analysis.plan.options`; `second_tests` is None without changes.
     pairing : Pairing
@@ -310,7 +311,7 @@ def choice_row(
 
 
 def information_curve(readings: Readings, limits: Limits, chosen: Sequence[int]) -> pd.DataFrame:
-    """Return a table of the information from the first n sensors of a plan, one row per n."""
+    """Return a table of the information from the mounted and the first n chosen sensors, one row per n from 0."""
     state = readings.with_sensors(limits.mounted)
     values = [readings.value(state)]
     for k in chosen:

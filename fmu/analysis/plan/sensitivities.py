@@ -71,6 +71,7 @@ class Sensitivities:
     n_solves : int
         Solves of the model, or calls of a user's function.
     certificate : Certificate or None
+        Errors of the reduced model; None if the model is not reduced.
     kept : ndarray of bool, shape (n_draws,), or None
         Mask of the draws in `seen`. At the other draws a solve failed or a mode had no derivative. None if `seen`
         has all draws.
@@ -131,7 +132,7 @@ def pick_modes(
     Raises
     ------
     ValueError
-        If the candidates do not see one of the given modes, or see too few modes.
+        If the structure has too few modes, or the candidates do not see one of the given modes or see too few.
     """
     count = modes if isinstance(modes, int) else max(modes) + 1
     while True:
@@ -159,8 +160,10 @@ def pick_modes(
 def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) -> Sensitivities:
     """Return the sensitivities of a structure with system matrices, at theta (n, n_parameters).
 
-    A large structure is reduced within the range of the draws. The reduced basis covers all degrees of freedom, so
-    it gives mode shapes at all candidates. The reduced modes are compared with the full model's at a few draws.
+    A structure of more than 100 DOFs is reduced within the range of the draws, if it can be and there are more
+    than three draws. The reduced basis covers all DOFs, so it gives mode shapes at all candidates. The reduced
+    modes are compared with the full model's at the first three draws. Raise ValueError if no draw has all
+    derivatives.
     """
     nominal = paired.observed(start[None])
     n = len(theta)
@@ -192,7 +195,10 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
 
 
 def of_model(model: ModalModel, theta: FloatArray, start: FloatArray) -> Sensitivities:
-    """Return the sensitivities of a user's function or a surrogate, at theta (n, n_parameters)."""
+    """Return the sensitivities of a user's function or a surrogate, at theta (n, n_parameters).
+
+    Raise ValueError if no draw has all derivatives.
+    """
     with phase("derivatives at draws", len(theta)):
         seen = model.observed(theta, True)
     return _complete(model, seen, model.observed(start[None]), model.solves_per_shape_gradient * len(theta))

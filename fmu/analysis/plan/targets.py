@@ -71,8 +71,8 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
     Raises
     ------
     ValueError
-        If a name is unknown, the weights are all zero, a prediction does not return finite numbers, or the target
-        depends on no parameter.
+        If a name is unknown, the weights are all zero, a prediction does not return finite numbers, the target
+        depends on no parameter, or losses are asked for in a test of the reference state.
     """
     names = [one.name for one in before.parameters]
     if target is None:
@@ -96,7 +96,10 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
 
 
 def without_the_unneeded(before: Before, target: Target | None) -> Before:
-    """Return a copy without the parameters that affect neither the test nor the target."""
+    """Return a copy without the parameters that affect neither the test nor the target.
+
+    If ψ are the structural parameters of a single test with their priors, all are kept.
+    """
     if before.is_prior:
         return before
     slopes = [before.slopes(before.values), target_of(target, before)]

@@ -91,8 +91,8 @@ def to_trace(
 
         - ``posterior`` and ``warmup_posterior``: one variable per parameter, SI units;
         - ``sample_stats`` and ``warmup_sample_stats``: statistics of the sampler;
-        - ``log_likelihood``: ``frequency``, or ``residual`` under the modal residual, one value per mode; with
-          correlated errors also ``frequency_given_others``;
+        - ``log_likelihood``: ``frequency``, or ``residual`` for the modal residual, one value per used mode; with
+          correlated errors also ``frequency_given_others``; with FRFs also ``frfs``;
         - ``misfit``: see `fmu.analysis.trace.misfit`;
         - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
           ``frequency`` with measurement noise, except under the modal residual, which has no noise. For repeated
@@ -100,12 +100,12 @@ def to_trace(
         - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
-          ``used``, if not all modes are used in updating;
+          ``used``, if not all modes are used in updating; ``of_test``, if there are several tests;
         - ``constant_data``: ``lower``, ``upper``, ``start``, ``beta``, and ``covariance_hz2`` with correlated
-          errors;
+          errors; with several tests also each parameter's ``role``;
         - ``tempering``, for parallel tempering: see `fmu.analysis.evidence_estimators.tempering_group`;
         - ``tests``, for several tests (`fmu.JointProblem`): the structural parameters in every test (chain, draw,
-          test);
+          test); ``populations``, ``loss``, ``loss_by_test`` and ``residual_scores``, if the problem has them;
         - ``next_test``, for a hierarchical posterior: the frequencies of one more test like the first,
           ``frequency`` with measurement noise and ``model_frequency`` without.
 
@@ -253,7 +253,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return a dataset with the bounds, the starting point and the weights of the measured frequencies."""
+    """Return a dataset with bounds, starting point, roles of the parameters, and errors of the frequencies."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}
@@ -281,7 +281,7 @@ def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
 def _frequency_groups(
     result: RunResult, problem: Any, frequency: FloatArray | None = None
 ) -> dict[str, xr.Dataset]:
-    """Return the trace groups that need computed frequencies. The model is solved once for each distinct draw."""
+    """Return the trace groups that need computed frequencies; each distinct draw is solved at most once."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
@@ -346,7 +346,7 @@ def _frequency_groups(
 
 
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
-    """Return the trace groups ``tests`` and ``next_test`` in a dict, for a problem with several tests."""
+    """Return the trace groups of a problem with several tests, keyed by name; see `to_trace`."""
     import xarray as xr
 
     from fmu.analysis.fit.populations import GROUP, population_group

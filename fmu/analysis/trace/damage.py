@@ -1,4 +1,4 @@
-"""Damage estimated by a run: each parameter's stiffness loss in each state, and probabilities of large losses."""
+"""Damage estimated by a run: each parameter's loss in each state or test, and probabilities of large losses."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     trace : xarray.DataTree
         A trace of a `fmu.JointProblem` with parameters that vary by ``"group"`` or `fmu.Damage`.
     beyond : sequence of float
-        Thresholds between 0 and 1; the probability of a loss above each of them is computed.
+        Thresholds, at least 0 and below 1; the probability of a loss above each of them is computed.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     Raises
     ------
     ValueError
-        If the trace has no losses, or a value of `beyond` is not between 0 and 1.
+        If the trace has no losses, or a value of `beyond` is below 0, or is 1 or more.
     """
     if not has(trace, LOSSES):
         rule = "has no losses, as it has no parameter that varies between groups of tests"
@@ -77,7 +77,7 @@ def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) ->
     trace : xarray.DataTree
         A trace of a `fmu.JointProblem` with these parameters.
     beyond : sequence of float
-        Thresholds between 0 and 1; the probability of a loss above each of them is computed.
+        Thresholds, at least 0 and below 1; the probability of a loss above each of them is computed.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) ->
     Raises
     ------
     ValueError
-        If the trace has no damage at an unknown date, or a value of `beyond` is not between 0 and 1.
+        If the trace has no damage at an unknown date, or a value of `beyond` is below 0, or is 1 or more.
     """
     if not has(trace, BY_TEST):
         raise ArgumentError("trace", "has no losses by test, as no parameter has damage at an unknown date")
@@ -99,7 +99,7 @@ def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -
     """Return the table of losses in a trace group, with one row per parameter in each state or test.
 
     Each state or test has one more row, named ``"any"``, for the largest loss over all parameters. Raise
-    ValueError unless `beyond` is between 0 and 1.
+    ValueError unless every value of `beyond` is at least 0 and below 1.
     """
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
@@ -133,7 +133,7 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return posterior means before and after damage, SI units, of every parameter that has a loss.
+    """Return posterior means before and after damage, SI units, of every parameter that has a loss in each state.
 
     The mean before damage is taken over the tests of the reference state.
 

@@ -72,7 +72,9 @@ class StoredEnsemble:
     def find_moves(self, thin_by: int) -> BoolArray | None:
         """Return a mask (steps, walkers) of the walkers that moved, or None if some steps were not stored.
 
-        A walker moved in the first step if the number of its accepted proposals exceeds the number of later moves.
+        Some were not stored if `thin_by` exceeds 1, or if walkers moved more often than emcee accepted proposals;
+        the latter gives a warning. A walker moved in the first step if the number of its accepted proposals
+        exceeds the number of later moves.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:
@@ -109,7 +111,10 @@ def _kind(blobs: NDArray[Any] | None) -> str:
 
 
 def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
-    """Return the emcee backend of a source, and a text that says where it is."""
+    """Return the emcee backend of a source, and a text that says where it is.
+
+    Raise FileNotFoundError, TypeError or ValueError unless there is a readable run.
+    """
     from emcee.backends import Backend, HDFBackend
 
     if isinstance(source, str | os.PathLike):

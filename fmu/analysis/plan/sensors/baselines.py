@@ -16,7 +16,8 @@ def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits)
     """Choose sensors by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
 
     The candidate that contributes least to the linear independence of the mode shapes is removed repeatedly. Its
-    contribution is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor.
+    contribution is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor. Of the limits, only the number of
+    sensors and the mounted ones count.
 
     Parameters
     ----------
@@ -79,7 +80,10 @@ def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> 
 
 
 def largest_off_diagonal(products: FloatArray) -> FloatArray:
-    """Return the largest MAC between two different mode shapes, shape (…), given their products ΦᵀΦ (…, m, m)."""
+    """Return the largest MAC between two different mode shapes, shape (…), given their products ΦᵀΦ (…, m, m).
+
+    It is 0 for a single mode, or if no sensor moves.
+    """
     m = products.shape[-1]
     if m == 1:
         return np.zeros(products.shape[:-2])

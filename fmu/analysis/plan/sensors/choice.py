@@ -69,9 +69,10 @@ def choose(
 ) -> tuple[int, ...] | None:
     """Choose candidates by greedy selection and exchanges; return them without the mounted ones.
 
-    The most important candidate comes first. The exchanges start from greedy choices and from `starts`, which may
-    violate limits; the best result is returned. If `accept` is given, only choices that it accepts are considered,
-    and the result is None if it accepts no initial choice.
+    The most important candidate comes first. The initial choices are greedy ones and those in `starts`, which may
+    violate limits and are then repaired. The two best are improved by exchanges, and the better result is
+    returned. If `accept` is given, only choices that it accepts are considered, and the result is None if it
+    accepts no initial choice.
     """
     found = [greedy(readings, limits)]
     if np.isfinite(limits.budget):
@@ -93,7 +94,8 @@ def greedy(
     """Add candidates one at a time, each with the largest gain or, with `by_cost`, the largest gain per cost.
 
     A single sensor gives no information on a mode shape whose scale is unknown. If no candidate has a gain, the
-    first sensor is therefore placed where the modes move most.
+    first sensor is therefore placed where the modes move most. The choice has fewer than `limits.count` candidates
+    if the limits allow no more.
     """
     found = list(chosen)
     state = readings.with_sensors([*limits.mounted, *found])
@@ -122,7 +124,7 @@ def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[in
 def exchange(
     readings: Readings, limits: Limits, chosen: Sequence[int], accept: Accept | None = None
 ) -> tuple[int, ...]:
-    """Exchange one sensor at a time as long as this improves the choice.
+    """Exchange one sensor at a time as long as this improves the choice, in at most ten passes over the sensors.
 
     If `accept` is given, only choices that it accepts are considered.
     """
