@@ -161,7 +161,10 @@ class Learner:
         self._history: list[tuple[FloatArray, ...]] = []  # one tuple per step; _HISTORY names the arrays
 
     def learn(self, state: State, info: Info) -> bool:
-        """Record one step; return True if it closed a window and gave a new covariance."""
+        """Record one step; return True if it closed a window and gave a new covariance.
+
+        After the last window, only the chains' log-densities are followed.
+        """
         smoothed = state.log_prob if self._log_prob is None else self._log_prob
         self._log_prob = _MEMORY * smoothed + (1.0 - _MEMORY) * state.log_prob
         self.step += 1

@@ -227,7 +227,7 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether at least `_TRIALS` steps were taken with the final metric. The first steps are too long."""
+        """Whether the last window has closed and `_TRIALS` step sizes were tried. The first ones are too long."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 

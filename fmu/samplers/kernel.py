@@ -56,11 +56,11 @@ class Info:
     ----------
     accepted : ndarray of bool, shape (chains,) or (chains, walkers)
         Whether the chain left its previous position.
-    log_prob : ndarray
+    log_prob : ndarray, shape of `accepted`
         Log-density at the position where the step ended.
-    n_solves : ndarray of int
+    n_solves : ndarray of int, shape of `accepted`
         Density evaluations within the bounds (one eigenproblem each) that the step took.
-    n_gradients : ndarray of int
+    n_gradients : ndarray of int, shape of `accepted`
         Gradients that the step took. An exact gradient also counts as one solve, a central-difference gradient as
         ``2 ndim`` solves.
     extra : mapping of str to ndarray

@@ -97,7 +97,7 @@ class Correlation:
         return found
 
     def gradient_of_moments(self, theta: FloatArray, moments: FloatArray) -> FloatArray:
-        """Return the gradient of the scores' expected log-density with respect to the partial correlations.
+        """Return the gradient of the scores' expected log-density, summed over tests, in the partial correlations.
 
         Parameters
         ----------

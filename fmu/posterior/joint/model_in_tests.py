@@ -241,7 +241,10 @@ class ModelInTests(ModalModel):
         return _SensitivitiesInTests(parts, (len(theta), self.n_modes, self.n_structural))
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and mode shapes at the sensors, with derivatives as in `frequencies_and_gradient`."""
+        """Return frequencies and mode shapes at the sensors.
+
+        If `gradient` is True, they have derivatives as in `frequencies_and_gradient`.
+        """
         values = self._in_tests(theta)
         n, m, p = len(theta), self.n_modes, self.n_structural
         seen = [part.model.observed(part.points(values), gradient) for part in self.configurations]

@@ -5,8 +5,8 @@ their Gaussian distribution given all other parameters (`fmu.posterior.discrepan
 errors, the tests are independent. But errors and main parameters explain the same residuals, so the main
 parameters hardly move while the errors are fixed. Three kinds of steps move them further:
 
-1. The standard deviation of the errors is scaled, while the errors in standard deviations stay the same, and the
-   main parameters move to compensate. This step follows the funnel that forms where the errors become small.
+1. Each inferred error sd is scaled, while the errors in standard deviations stay the same, and the main parameters
+   move to compensate. This step follows the funnel that forms where the errors become small.
 2. The main parameters take random walks at fixed scores, in the density with the errors marginalised (a partially
    collapsed Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change in the
    main parameters that would compensate for random errors.
@@ -35,7 +35,7 @@ logarithm at the typical point."""
 _SHIFTS = 4
 """Number of random-walk steps of the main parameters with the model errors marginalised."""
 _SMALLEST = 0.05
-"""Size of the smallest random-walk step, in standard deviations; the largest is 1."""
+"""Ratio of the smallest random-walk step to the largest."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,13 @@ class MovesWithErrors(MovesOfMain):
     def move_with_errors(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray], FloatArray]:
-        """Move the main parameters and the standard deviations of the errors, and draw the model errors.
+        """Move the main parameters and the inferred error sds, and draw the model errors.
 
         The module docstring describes the steps.
 
         Returns
         -------
-        theta : ndarray
+        theta : ndarray, shape (chains, n)
             Parameters without the model errors.
         terms : ndarray, shape (chains, n_terms)
             Log-likelihood terms with the model errors marginalised.
@@ -123,7 +123,7 @@ class MovesWithErrors(MovesOfMain):
         return theta, terms, {"terms": given, "errors": errors}, shifted
 
     def _move_sizes(self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray) -> FloatArray:
-        """Move each standard deviation of the errors in turn, and the main parameters to compensate; return theta.
+        """Move each inferred error sd in turn, and the main parameters to compensate; return theta (chains, ndim).
 
         The model errors stay the same in standard deviations. Each standard deviation takes one solve.
         """

@@ -68,7 +68,7 @@ from fmu.types import BoolArray, FloatArray, IntArray, LogDensity, Positive
 _FIRST_STEP = 0.5
 _ACCEPT = 0.8
 _NU = 5.0
-"""Degrees of freedom of the Student distributions from which the other score proposals are drawn."""
+"""Degrees of freedom of the Student distributions from which scores are proposed, except for random walks."""
 _WALKS = 0.35
 """Probability that a test's scores are proposed by a random-walk step."""
 _LOCAL_MOVES, _LOCAL = 2, 0.5
@@ -152,7 +152,11 @@ class GibbsKernel(MovesWithErrors):
     whole: UpdatingProblem
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation."""
+        """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation.
+
+        `State.extra` is the `Fit` of the points and, if the model has a discrepancy, the most probable model
+        errors.
+        """
         theta = self.scaled.to_theta(positions)
         ones, none = np.ones(len(positions), dtype=np.int64), np.zeros(len(positions), dtype=np.int64)
         if self.has_errors:

@@ -29,7 +29,7 @@ _MANY = 150
 """Number of tests beyond which trajectories are shorter."""
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _SMALLEST = 0.05
-"""Factor on the shortest trajectory."""
+"""Smallest factor by which a trajectory is shortened."""
 _SHORT = 0.1
 """Probability that a trajectory is shortened, by a factor between `_SMALLEST` and 1, which moves a chain out of a
 tail."""

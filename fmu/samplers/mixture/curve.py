@@ -159,7 +159,7 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 
     The last coordinate in the curve's order is the one whose log-likelihood gains most if it depends on all the
     others. The second-to-last is chosen in the same way from the remaining coordinates, and so on until the gain
-    becomes too small.
+    becomes too small. A coordinate on which another depends only slightly is left out of its m_k and s_k.
     """
     ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
     u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))

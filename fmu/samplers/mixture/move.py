@@ -33,7 +33,8 @@ class MixtureMove(Move):
     As in other emcee moves, the walkers are divided at random into two halves that move in turn. The mixture q for
     one half is fitted only to the positions and log-probabilities of the other half. A walker at x moves to its
     candidate x* with probability min(1, P(x*) q(x)/(P(x) q(x*))). Since q does not depend on the moving half,
-    every step leaves the posterior invariant, without any warm-up.
+    every step leaves the posterior invariant, without any warm-up. If no mixture can be fitted to the other half,
+    emcee's stretch move is made instead.
 
     ``run_mcmc(..., tune=True)`` is a warm-up: after 10, 20, 40, ... steps the mixture is fitted to all walkers in
     the later half of these steps. Discard the warm-up draws. The mixture is then frozen, which also leaves the

@@ -186,8 +186,10 @@ def coefficients(
 ) -> tuple[FloatArray, float]:
     """Return the coefficients of a quadratic in standardised z (n, ndim), and its weighted mean squared residual.
 
-    The residual does not include the gradients. Normal equations are accurate enough, because z has unit
-    covariance and `_PULL` limits their condition number to 1/_PULL².
+    The coefficients are the constant, the gradient and the upper triangle of the negative Hessian. The Hessian is
+    pulled slightly towards that of a standard normal. The residual does not include the gradients. Normal
+    equations are accurate enough, because z has unit covariance and `_PULL` limits their condition number to
+    1/_PULL².
     """
     ndim = z.shape[1]
     i, j = np.triu_indices(ndim)

@@ -24,7 +24,7 @@ from fmu.samplers.tempering.kernel import TemperingKernel, replicas_of
 from fmu.types import FloatArray, LogDensity
 
 FEWEST, MOST = 8, 64
-"""Smallest and largest number of rungs of a learnt ladder; fewer rungs give inaccurate evidences."""
+"""Smallest and largest default number of rungs of a learnt ladder; fewer rungs give inaccurate evidences."""
 FIRST = 12
 """Number of rungs before the ladder is learnt."""
 _POWER = 5.0

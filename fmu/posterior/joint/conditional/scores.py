@@ -198,7 +198,10 @@ class Normal(NamedTuple):
         return self.bend(self.mean + self.scatter(u))
 
     def select(self, chosen: BoolArray, other: Normal) -> Normal:
-        """Return these distributions for the tests that are `chosen`, (n, n_tests), and `other` for the rest."""
+        """Return these distributions for the tests that are `chosen`, (n, n_tests), and `other` for the rest.
+
+        Both must have the same curve.
+        """
         mean = np.where(chosen[..., None], self.mean, other.mean)
         factor = np.where(chosen[..., None, None], self.factor, other.factor)
         return self._replace(mean=mean, factor=factor)

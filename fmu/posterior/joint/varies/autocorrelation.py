@@ -56,7 +56,11 @@ def default_prior(times: FloatArray) -> LogNormal:
 
 
 def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[str]:
-    """Return error messages if the tests have no valid times for the scores of the parameter `name`."""
+    """Return error messages if the tests have no valid times for the scores of the parameter `name`.
+
+    The covariate `by` must be a number, different in each test in which the parameter is unknown. If `by` is
+    empty, there is nothing to check.
+    """
     if not by:
         return []
     here = [t for t, test in enumerate(tests) if name not in test.known]

@@ -26,7 +26,7 @@ from fmu.posterior.joint.varies.truncated_normal import Normals, Slopes, Truncat
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-12
-"""Smallest distance of a value from a bound that has a score, relative to the bound."""
+"""Smallest distance from a bound, relative to the bound, at which a value still has a finite score."""
 _FAR = 4.0
 """Half-width of the range in which a reduced model is trained, in standard deviations of the population."""
 

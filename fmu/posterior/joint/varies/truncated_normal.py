@@ -16,7 +16,7 @@ Slopes = tuple[FloatArray, FloatArray, FloatArray]
 """Derivatives with respect to value or score, centre and standard deviation."""
 
 _DISTANT, _CENTRAL = 12.0, 6.0
-"""Bounds this many standard deviations from the mean have no influence on scores up to this size, to rounding."""
+"""Bounds 12 standard deviations from the mean have no influence, beyond rounding, on scores up to 6."""
 _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
@@ -63,7 +63,10 @@ def are_bounds_distant(
     lower: FloatArray | float,
     upper: FloatArray | float,
 ) -> BoolArray:
-    """Return a mask of the values on which the bounds have no influence beyond rounding."""
+    """Return a mask of the values on which the bounds certainly have no influence beyond rounding.
+
+    These values have scores z between −6 and 6, and bounds at least 12 standard deviations from the mean.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         is_distant = np.minimum(mean - lower, upper - mean) >= _DISTANT * sd
         return np.asarray(is_distant & (np.abs(z) <= _CENTRAL))
@@ -214,7 +217,10 @@ class TruncatedFamily:
         return p - q, by_p, by_q
 
     def log_pdf(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the log-density of the value (log-normal: of its logarithm), and its derivatives."""
+        """Return the log-density of the value (log-normal: of its logarithm), and its derivatives.
+
+        The derivatives are with respect to value, centre and sd.
+        """
         if not self.of_logarithm:
             return truncated_normal_log_pdf(value, centre, sd, self.lower, self.upper)
         p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *self._ends)

@@ -107,7 +107,7 @@ class UndatedDamage(Varies):
         return found
 
     def times(self, tests: Sequence[Test]) -> FloatArray:
-        """Return the test times, shape (n_tests,)."""
+        """Return the test times, shape (n_tests,): the covariate `by`, or 1, 2, … in test order without `by`."""
         if not self.by:
             return np.arange(1.0, len(tests) + 1.0)
         return np.array([test.covariates[self.by] for test in tests], dtype=float)

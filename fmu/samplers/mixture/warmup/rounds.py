@@ -19,7 +19,8 @@ ENOUGH = 0.45
 _TWICE = 2
 _MILDER = 0.8
 _LEAST_POINTS = 60
-"""Effective number of points per coordinate below which the weights in a fit are raised to a power below 1."""
+"""Effective number of points per coordinate below which the weights in a fit are raised to a power below 1, if
+it is also below the share `_MOST_PART` of all points."""
 _MOST_PART = 0.2
 _SAMPLE = 1000  # draws from which the efficiency of a mixture is estimated
 _FEWEST = 200
