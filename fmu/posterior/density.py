@@ -63,7 +63,7 @@ class Posterior:
         return other
 
     def with_likelihood(self, likelihood: Likelihood) -> Self:
-        """Return the same problem with another likelihood. The new likelihood must have the same parameters."""
+        """Return the same problem with another likelihood, which may have other inferred error sds."""
         other = copy(self)
         other.likelihood, other._failed = likelihood, FailureRecord()
         other._take_parameters()

@@ -29,7 +29,8 @@ _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
 _MOST_POLISHED, _FIRST = 8, 16
 _AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
-"""With a discrepancy: ascents with it from the start, steps, nats below the highest end, and relative sizes."""
+"""With a discrepancy: number of ascents with it from the first step, largest number of steps, nats below the best
+converged ascent at which others are abandoned, and sizes of the discrepancy relative to its start."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +51,17 @@ def local_maxima(
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. If the modes or
-    frequency response functions (FRFs) are the data, all points ascend together by Gauss–Newton steps (`ascend`).
-    If several ascents come close together just below a maximum, only the highest continues. Of the ascents that
-    stall at a kink, the best eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For the modal
-    residual, every point ascends by L-BFGS-B. Two results are the same maximum if no valley separates them. This
-    means that on the straight line between them, the log-probability is nowhere more than 0.1 below the lower
-    value.
+    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. Unless the data
+    are the modal residual, all points ascend together by Gauss–Newton steps (`ascend`). If several ascents come
+    close together just below a maximum, only the highest continues. Of the ascents that stall at a kink, the best
+    eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). With the modal residual, every point ascends
+    by L-BFGS-B. Two results are the same maximum if no valley separates them. This means that on the straight line
+    between them, the log-probability is nowhere more than 0.1 below the lower value.
 
-    FRFs have many maxima, so the points first ascend on easier likelihoods (`FRFLikelihood.easier`). If the model
-    has a discrepancy and `most_solves` is infinite, all points first ascend without it, and the highest eight end
-    points then ascend with it. In addition, 64 of the points ascend with it from the first step
-    (`_starts_with_discrepancy`).
+    The likelihood of frequency response functions has many maxima, so the points first ascend on easier
+    likelihoods (`FRFLikelihood.easier`). If the model has a discrepancy and `most_solves` is infinite, all points
+    first ascend without it, and the highest eight end points then ascend with it. In addition, 64 of the points
+    ascend with it from the first step (`_starts_with_discrepancy`).
 
     Parameters
     ----------
@@ -75,19 +75,19 @@ def local_maxima(
         Further starting points, in SI units; points outside the bounds are moved to them.
     most_solves : float
         Largest number of solves. If it is finite, the ascents run one after the other, and none begins once the
-        limit is reached. For the modal residual, the search also ends after sixteen ascents that
-        have found more than eight distinct maxima.
+        limit is reached. With the modal residual, the search also ends after sixteen ascents that have found more
+        than eight distinct maxima.
 
     Returns
     -------
     tuple of Maximum
-        For the modal residual, empty if no ascent reaches a finite log-probability.
+        With the modal residual, empty if no ascent reaches a finite log-probability.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive or, except for the modal residual, no starting point has a log-probability with
-        a finite gradient.
+        If `starts` is not positive or, except with the modal residual, no starting point has a log-probability
+        with a finite gradient.
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")

@@ -17,7 +17,7 @@ LEAST_MASS = 0.05
 FAR = 1.0
 """Distance of a prior's centre outside the bounds, in standard deviations, above which the prior is reported."""
 NARROW = 1e-4
-"""Width of a prior relative to the bounds (without bounds, to its centre) below which the parameter is fixed."""
+"""Width of a prior relative to the bounds (without bounds, to its centre) below which the prior is reported."""
 _FLAT = 0.1
 
 

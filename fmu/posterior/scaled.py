@@ -139,9 +139,10 @@ def scaled_density(density: LogDensity) -> ScaledDensity:
 
 
 class LogarithmicDensity:
-    """The posterior in the coordinates u of `LogScaledDensity`, including the Jacobian, for samplers.
+    """The posterior for samplers in coordinates u as in `LogScaledDensity`, including the Jacobian.
 
-    With a log-normal prior the density of θ is skewed, whereas the density of log θ is nearly Gaussian.
+    All parameters with log-normal priors are logarithms, because the density of θ is skewed, whereas the density
+    of log θ is nearly Gaussian.
 
     Parameters
     ----------

@@ -272,7 +272,7 @@ class FRFData:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom with which each sd was estimated; infinite unless hits or a coherence gave it."""
+        """Degrees of freedom with which each sd was estimated; infinite if no hits or coherence were used."""
         if self.hits is not None:
             return 2.0 * (self.hits - 1)
         return 2.0 * (self.averages - 1.0) if self.sd is None and self.averages is not None else np.inf
@@ -316,7 +316,7 @@ class FRFData:
 
     @check_arguments
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
-        """Return the FRFs with the values not used where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
+        """Return the same FRFs, but do not use the values where `mask`, (n_lines,) or (n_frfs, n_lines), is True.
 
         Raise ValueError if the mask is not boolean, has another shape, or leaves no line.
         """

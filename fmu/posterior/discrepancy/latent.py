@@ -122,7 +122,7 @@ class LatentErrors:
         return np.asarray(0.5 * (squares - square + np.linalg.slogdet(Q)[1]))
 
     def squares(self) -> FloatArray:
-        """Return each row's standardised squared residuals, summed, given the rows before it, shape (n, m)."""
+        """Return the sum of each row's squared residuals, whitened given the rows before it, shape (n, m)."""
         quadratic = self._grown(self._groups.quadratic)
         if not self.common.shape[-1]:
             return np.asarray(quadratic[..., 0, 0])

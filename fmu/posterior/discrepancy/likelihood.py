@@ -222,7 +222,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def errors_given_data(
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return `LatentErrors.given_common` for each mode, and w's mean and covariance, given the used data.
+        """Return `LatentErrors.given_common` for each mode, and w's mean and covariance, given the `used` modes.
 
         If `used` is empty, return the prior: zero means and unit covariances.
         """
@@ -295,7 +295,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each frequency's derivatives, Hz, by its mode's own and the common errors, (n, n_modes, …)."""
+        """Return derivatives of the frequencies, Hz, by their own and by common errors, (n, n_modes, …) each."""
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
@@ -340,7 +340,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         change: Change,
     ) -> FloatArray:
-        """Return the derivatives by the parameters, (n, m, p), through the residuals and their slopes.
+        """Return derivatives with respect to the parameters, (n, m, p), through the residuals and their slopes.
 
         Without exact second derivatives, the slopes are differenced, which takes 2 p solves.
         """

@@ -1,4 +1,4 @@
-"""Interfaces of error models and likelihoods, and functions that their implementations share."""
+"""Interfaces of error models and likelihoods, with the defaults that their implementations share."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class ErrorTerm:
         raise NotImplementedError
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return `residuals` with other derivatives: projected onto the space in which the residuals lie."""
+        """Return `residuals`, with derivatives projected onto the residuals' space; by default, unprojected."""
         return self.residuals(seen, noise)
 
     def change_of_slopes(
@@ -206,7 +206,7 @@ class ErrorTerm:
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only."""
+        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz; by default, none."""
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -382,7 +382,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only."""
+        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz; by default, none."""
         return frequencies
 
     def with_discrepancy(

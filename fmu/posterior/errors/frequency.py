@@ -233,7 +233,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with random Gaussian errors of the inferred sds only."""
+        """Add only the random errors whose sds are inferred, taken as Gaussian, to frequencies (n, n_modes), Hz."""
         if self.is_known:
             return frequencies
         inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))

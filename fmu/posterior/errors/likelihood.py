@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, whose terms need no `Evaluated` record, or None if the model is uncertain."""
+        """Return `error`, with which terms are computed fastest. Return None if the model is uncertain."""
         return None if self.model.is_uncertain else self.error
 
     @property
@@ -167,7 +167,7 @@ class ModalLikelihood(Likelihood):
         return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the errors over their sds, (n, n_residuals), and derivatives, (n, n_residuals, n_structural)."""
+        """Return errors divided by their sds, (n, n_residuals), and slopes, (n, n_residuals, n_structural)."""
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def terms_and_residuals(
@@ -218,10 +218,10 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only.
+        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz.
 
-        Return them unchanged if no error model is for frequencies. Otherwise, raise ValueError if standard
-        deviations are inferred and `noise` (n, n_noise) is not given.
+        Nothing is added if no error model is for frequencies. Otherwise, raise ValueError if standard deviations
+        are inferred and `noise` (n, n_noise) is not given.
         """
         if self.frequency_term is None:
             return frequencies
@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the modes with derivatives by theta or, if `chain` is None, by the parameters in their tests."""
+        """Return the modes, differentiated by theta or, if `chain` is None, by the parameters of their tests."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

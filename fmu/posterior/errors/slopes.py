@@ -1,4 +1,4 @@
-"""Chain rule for error models: from derivatives with respect to modes to those with respect to parameters."""
+"""Chain rule for error models: from derivatives by modes to derivatives by parameters."""
 
 from __future__ import annotations
 

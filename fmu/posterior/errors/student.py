@@ -41,8 +41,8 @@ class StudentErrors(FrequencyErrors):
         Degrees of freedom ν, at least 1: known, or to be inferred. With ν = 4, an error beyond 3σ has a
         probability of 4 %, and an error beyond 10σ of 0.06 %. From ν = 30 on the distribution is nearly Gaussian.
     kind, sd, weights, model_sd
-        As in `fmu.FrequencyErrors`, but they define the scale σ, to which the data's standard deviation is equated
-        by default. The distribution's own standard deviation is σ √(ν/(ν − 2)) for ν > 2, otherwise infinite.
+        As in `fmu.FrequencyErrors`, but for the scale σ. By default, σ is the data's standard deviation. The
+        distribution's own standard deviation is σ √(ν/(ν − 2)) for ν > 2, otherwise infinite.
 
     Raises
     ------

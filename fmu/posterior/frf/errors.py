@@ -42,8 +42,8 @@ class FRFErrors(QuantityErrors):
     log-density exceeds the variance of its slope. Intervals would be too narrow, by 11 % for five hits. The
     density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom and the
     squared scale V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
-    1208–1211), and its slope is proportional to the slope of Student's t with ν. From ν = 500 on, it is replaced
-    by the Gaussian.
+    1208–1211), and its slope is proportional to the slope of Student's t with ν. From ν = 500 on, the density
+    is Gaussian.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class FRFErrors(QuantityErrors):
         σ, the model error relative to |H|, known or inferred; 0 by default.
     gain_sd : float, or mapping of (place, direction) to float
         Standard deviation of the relative gain error γ_j in each response channel, or in the named channels. The
-        gain errors are integrated out exactly if the data's `sd` was given; with ``"log"`` the factor is then
-        exp(γ_j). If it was estimated from hits or a coherence, they are inferred.
+        gain errors are inferred if the data's standard deviations come from hits or a coherence. Otherwise they
+        are integrated out exactly; with ``"log"``, the factor is then exp(γ_j).
     delay_sd : float, or mapping of (place, direction) to float, s
         Standard deviation of the delay τ_j in each response channel, or in the named channels. Delays are
         inferred.
@@ -107,8 +107,6 @@ class FRFErrors(QuantityErrors):
     ) -> FRFTerm:
         """Bind the errors to a structure. This trains a reduced model of the structure's FRFs.
 
-        Give a `ReductionWarning` if the reduced model does not meet its tolerance.
-
         Parameters
         ----------
         model : SeparableModel
@@ -123,6 +121,11 @@ class FRFErrors(QuantityErrors):
             If a drive or a response has no free degree of freedom, the damping does not fit the model (see
             `bind_damping`), a used value has neither a standard deviation nor a model error, or a discrepancy
             cannot be combined with these errors.
+
+        Warns
+        -----
+        ReductionWarning
+            If the reduced model does not meet its tolerance.
         """
         data = self.data
         if discrepancy is not None:

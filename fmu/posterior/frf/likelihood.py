@@ -313,7 +313,7 @@ class FRFLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with random errors of the inferred standard deviations only."""
+        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz."""
         return self.modal.simulate_discrepancy(rng, frequencies, noise)
 
     def with_discrepancy(

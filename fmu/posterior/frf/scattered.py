@@ -269,7 +269,7 @@ class ScatteredTerm(FRFTerm):
         return np.asarray(at.modes.amplitudes @ at.resonances.g * self._power)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs, (n, n_frfs, n_lines), at the lines that the term `every` uses.
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines of another term for the same structure, `every`.
 
         The residue errors are drawn given this term's data.
         """

@@ -166,7 +166,7 @@ class FRFTerm:
         return total
 
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
-        """Return the sd (Student's t: scale) of errors in H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
+        """Return the sds (Student's t: scales) of the errors in H or log H, (n, n_frfs, n_lines), for given FRFs."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 

@@ -26,8 +26,9 @@ _NEAR, _NOT_RARE = 0.5, 10.0
 def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of the box in which a reduced model is first trained, shape (n,) each.
 
-    The prior's box (`fmu.posterior.parameters.box`) is extended to nearby bounds. It then also covers the few
-    draws in ten thousand that lie more than four prior standard deviations from the prior's centre.
+    The prior's box (`fmu.posterior.parameters.box`) is extended to bounds that are near and not much less
+    probable. It then also covers the few draws in ten thousand that lie more than four prior standard deviations
+    from the centre.
     """
     ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
     is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])

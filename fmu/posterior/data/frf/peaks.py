@@ -128,10 +128,10 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
     The CMIF consists of the singular values of the mobility matrix (responses × drives) at each line (Shih, Tsuei,
     Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak in the largest singular value
     counts if its line is in use, it exceeds the adjacent valleys by a factor, and it stands out of the noise. A
-    peak in a lower singular value must also be not much smaller, and have another shape and a separate resonance;
-    it is then a second mode. Otherwise two modes exchange their order there. If FRFs in the matrix were not
-    measured, or were measured twice, the root sum of squares over all FRFs replaces the CMIF. Two modes within a
-    half-power bandwidth are then one peak.
+    peak in a lower singular value is a second mode if, in addition, it is not much smaller than the largest value,
+    and has another shape and a separate resonance. Otherwise two modes exchange their order there. If FRFs in the
+    matrix were not measured, or were measured twice, the root sum of squares over all FRFs replaces the CMIF. Two
+    modes within a half-power bandwidth are then one peak.
 
     A peak's singular vectors combine the FRFs into a single FRF with one mode. A rational function of order two,
     fitted to the lines near the peak, gives the frequency and the damping ratio. If the fit fails, the peak's line
