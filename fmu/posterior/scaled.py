@@ -179,7 +179,7 @@ def clip_to_support(scaled: ScaledDensity, problem: Posterior) -> ScaledDensity:
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
     """Return the scaled density for ascents, with the logarithms of parameters whose log-normal priors are wide.
 
-    At a bound where the density vanishes, such as a standard deviation of 0, theta is the next float inside.
+    At a bound where the density vanishes, such as a standard deviation of 0, theta stays just inside.
     """
     with_logs = LogScaledDensity(problem)
     scaled = with_logs if with_logs.is_log.any() else ScaledDensity(problem)

@@ -286,7 +286,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.linearise(terms or self.terms_of, seen, self._noise(theta), self.of_used)
 
     def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> LatentErrors:
-        """Build the `LatentErrors` for the residuals; tests share their errors unless `by_test` is True."""
+        """Build the `LatentErrors` for the residuals. With `by_test`, rows of several tests share no errors."""
         group = self._used if by_test else self.group[self._used]
         found = self.errors.latent(rows, self._values(theta)[:, self._test], self._noise(theta), group)
         if by_test and self.n_tests > 1:

@@ -233,7 +233,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred, taken as Gaussian, to frequencies (n, n_modes), Hz."""
+        """Add only the random errors whose sds are inferred (as Gaussian errors) to frequencies (n, n_modes)."""
         if self.is_known:
             return frequencies
         inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))

@@ -155,7 +155,7 @@ class ScatteredTerm(FRFTerm):
         return ("damping",) * self.model.n_values + ("error of the model",) * len(self.scatter.parameters)
 
     def with_use(self, use: BoolArray) -> ScatteredTerm:
-        """Return the same term, but with the measured values that are True in `use`, (n_frfs, n_lines)."""
+        """Return the same term for the measured values at which `use`, (n_frfs, n_lines), is True."""
         data, n = replace(self.data, use=use, band=None), self.model.n_values
         return ScatteredTerm(data, self.model, self.channels, self.inferred[:n], self._settings, self.scatter)
 

@@ -142,7 +142,7 @@ class FRFTerm:
         return self._evaluate(theta, gradient=True)
 
     def with_use(self, use: BoolArray) -> FRFTerm:
-        """Return the same term, but with the measured values that are True in `use`, (n_frfs, n_lines)."""
+        """Return the same term for the measured values at which `use`, (n_frfs, n_lines), is True."""
         data, own = replace(self.data, use=use, band=None), (self._is_log, self._model_sd, self._settings)
         return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 
@@ -166,7 +166,7 @@ class FRFTerm:
         return total
 
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
-        """Return the sds (Student's t: scales) of the errors in H or log H, (n, n_frfs, n_lines), for given FRFs."""
+        """Return the sds (Student's t: scales) of errors in H or log H, (n, n_frfs, n_lines), for given FRFs."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
