@@ -23,7 +23,7 @@ from tests.results.rooms import digests, forget
 from tests.results.stamps import Stamp
 from tests.results.status import RESULTS, ROOT
 from tests.results.studies import CORES, Study
-from tests.validation.kept import PROGRESS
+from tests.validation.kept import CORE, PROGRESS
 
 KEPT = ROOT / ".results"
 OVERRUN = 2.0
@@ -43,6 +43,7 @@ class Running:
     rooms: dict[str, str]
     process: subprocess.Popen[bytes]
     log: TextIO
+    core: int
     began: float = field(default_factory=time.monotonic)
     told: str = ""
 
@@ -80,7 +81,8 @@ class Schedule:
             while waiting or running:
                 alone = any(one.study.exclusive for one in running)
                 if waiting and not alone and len(running) < (1 if waiting[0].exclusive else CORES):
-                    running.append(self._begin(waiting.pop(0)))
+                    free = min(set(range(CORES)) - {one.core for one in running})
+                    running.append(self._begin(waiting.pop(0), free))
                     continue
                 time.sleep(0.2)
                 for one in list(running):
@@ -95,7 +97,7 @@ class Schedule:
                 _stop(one)
         return wrong
 
-    def _begin(self, study: Study) -> Running:
+    def _begin(self, study: Study, core: int) -> Running:
         forget()
         folder, rooms = self.kept / study.name, digests(self.root, study.modules)
         of = folder / _ROOMS
@@ -113,12 +115,12 @@ class Schedule:
         process = subprocess.Popen(
             command,
             cwd=self.root,
-            env=os.environ | SETTINGS | {"FMU_CACHE_DIR": str(folder / _CACHE)},
+            env=os.environ | SETTINGS | {"FMU_CACHE_DIR": str(folder / _CACHE), CORE: str(core)},
             stdout=log,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-        return Running(study, folder, rooms, process, log)
+        return Running(study, folder, rooms, process, log, core)
 
     def _end(self, one: Running) -> list[str]:
         """Publish the pages of a study that has ended."""

@@ -23,6 +23,10 @@ PROGRESS = "progress.json"
 """Beside the units: how many of each kind are done, and how many there are."""
 
 
+CORE = "FMU_STUDY_CORE"
+"""Environment variable with the number of the processor core that no other study uses, from 0."""
+
+
 def study_parser(doc: str | None) -> argparse.ArgumentParser:
     """Return a parser with the arguments of every study: OUT, ``--kept`` and ``--minutes``."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)

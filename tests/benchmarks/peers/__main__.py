@@ -14,7 +14,7 @@ from collections import defaultdict
 from dataclasses import asdict
 from importlib.metadata import version
 
-from tests.validation.kept import Units, study_parser
+from tests.validation.kept import CORE, Units, study_parser
 
 PEERS = (
     "emcee", "numpyro", "jax", "nutpie", "pints", "nautilus-sampler", "dynesty", "ultranest", "nessai", "pocomc",
@@ -27,7 +27,8 @@ def main() -> int:
     parser.add_argument("--posterior", required=True, help="such as garteur-shape")
     asked = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[(int(os.environ.get(CORE, 0)) - 1) % len(cores)]})
     os.environ["OMP_NUM_THREADS"] = "1"
     # XLA, BLAS and PyTorch count the cores when they are loaded
     from tests.benchmarks.peers.contenders import POSTERIORS, SEEDS, contenders
