@@ -51,7 +51,10 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences that say how to allow for the misfit, and with what effect; empty if no remedy is known."""
+    """Return sentences that say how to allow for the misfit, and with what effect.
+
+    The text is empty if the model has a discrepancy already, or if its errors do not permit one.
+    """
     responses = problem_of(trace).get("likelihood", {}).get("responses")
     if responses:
         return "" if "discrepancy" in responses[0] else REMEDY_OF_FRFS

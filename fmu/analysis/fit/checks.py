@@ -91,9 +91,9 @@ _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the G
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return all checks of a run.
+    """Return all checks of a run that have a result.
 
-    The list is empty if the run uses the modal residual, which is not a measured quantity.
+    The list is empty if the trace stores no squared residuals, as for the modal residual.
     """
     of_each, of_laws = _levels(trace)
     found = [check for kind in _kinds(trace) for check in kind(of_each)]
@@ -148,7 +148,8 @@ def _levels(trace: xr.DataTree) -> tuple[float, float]:
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
     """Return a table with a prediction of each mode from the other modes, one row per mode.
 
-    Unknown predictions are NaN. The result is None if the run has no frequencies, or if they are not data.
+    Unknown predictions are NaN. The result is None if the trace has no predicted measurements of frequencies, or
+    if the modes are not data.
     """
     if not has(trace, "posterior_predictive", "frequency") or not modes_are_data(trace):
         return None
@@ -295,7 +296,7 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 def _follows(trace: xr.DataTree, larger: float) -> str:
     """Return why the check of residuals tests nothing, or an empty string if it tests the model.
 
-    It tests nothing if it fails only for residuals `larger` times as large, with `larger` above a limit, and no
+    It tests nothing if it fails only for residuals `larger` times as large, with `larger` above ten, and no
     degree of freedom is left. With a degree of freedom left, the parameters cannot fit arbitrary errors, even if
     they fit the present errors well.
     """
@@ -316,7 +317,10 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Check whether each inferred standard deviation is consistent with its prior; return one `Check` for each."""
+    """Check that no inferred standard deviation is far larger than its prior suggests; return one `Check` each.
+
+    Only the prior's upper tail counts: a standard deviation that is unexpectedly small passes.
+    """
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -362,7 +366,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return a clause if the prior lets the noise grow enough to hide a misfit, otherwise an empty string."""
+    """Return a clause if the prior lets the noise of frequencies or shapes hide a misfit, otherwise ""."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE

@@ -20,7 +20,7 @@ MOST_TESTS = 5
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
-    """Return the MAC between a single test's mode shapes and the computed ones, or None if none were measured.
+    """Return the MAC between a single test's mode shapes and the computed ones, or None if the trace stores none.
 
     The dimensions are (state, reference_mode, mode).
     """
@@ -68,7 +68,7 @@ def below(mac: float) -> str:
 def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
     """Compare each test's mode shapes with the model in one state; return the comparisons keyed by test name.
 
-    A single test has the key ``""``. The dict is empty if no shapes were measured.
+    A single test has the key ``""``. The dict is empty if the trace stores no measured shapes.
     """
     if not has(trace, GROUP):
         return {}

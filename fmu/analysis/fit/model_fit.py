@@ -50,9 +50,10 @@ class ModelFit:
     ----------
     checks : tuple of Check
         All checks that were made; a correct model fails any of them with a probability of at most
-        `fmu.analysis.fit.check.level_of`.
+        `fmu.analysis.fit.check.level_of`, mode shapes apart.
     n_data, n_parameters : int
-        Number of independent measured values used in updating, and number of parameters, inferred noise included.
+        Number of independent measured values used in updating, and effective number of parameters, inferred noise
+        included.
     left_out : str
         Measured quantities that no check covers, because their residuals have no known distribution; empty if
         there are none.
@@ -118,7 +119,7 @@ class ModelFit:
 
     @property
     def said(self) -> tuple[str, ...]:
-        """Sentences of the failed checks, followed by sentences on how to allow for the discrepancy."""
+        """Sentences of the failed checks, then sentences on the discrepancy: how to allow for it, or its size."""
         return (*self.against, *self._allowed)
 
     @property
@@ -218,7 +219,10 @@ class ModelFit:
 
 
 def model_fit(trace: xr.DataTree) -> ModelFit:
-    """Judge whether the model fits the data, using the checks of `fmu.analysis.fit.checks`."""
+    """Judge whether the model fits the data, using the checks of `fmu.analysis.fit.checks`.
+
+    If the trace stores no squared residuals, there are no checks, and the verdict is `UNKNOWN`.
+    """
     if not has(trace, GROUP):
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs

@@ -113,9 +113,10 @@ def _scores_of(one: Drawn, theta: FloatArray) -> FloatArray:
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Check the law of each parameter; return one `Check` per parameter, or an empty list for a single test.
+    """Check the law of each parameter; return one `Check` per parameter.
 
-    A parameter is checked if it scatters, or if the model's law gives its value in every test.
+    A parameter is checked if it scatters, or if the model's law gives its value in every test. The trace must
+    store scores of several tests.
     """
     tests, columns, names = problem_of(trace)["tests"], [], []
     populations: list[str] = []

@@ -107,13 +107,19 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
 
 
 def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
-    """Estimate the scatter from a model linearised at the maximum, or return None if the maximum is unknown.
+    """Estimate the scatter from a model linearised at the maximum.
 
     The priors are taken as Gaussian. Let the parameters x, in prior standard deviations, have the prior N(x₀, I),
     and r = r* + S (x − x*). Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the
     posterior of τ. The covariance of x is (I + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter
     only through the moments of the prior. The standard deviations without scatter come from the draws or, if all
     draws are equal, from the linear model.
+
+    Returns
+    -------
+    Estimate or None
+        None if there are residuals other than of frequencies, or if their derivatives, the maximum or prior draws
+        are unknown.
     """
     linear = _linearise(trace)
     if linear is None or linear.expected is None:
@@ -148,7 +154,7 @@ class _Linearised(NamedTuple):
     g : ndarray, shape (n_modes,)
         See `by_draws`.
     expected : ndarray, shape (n_modes,), or None
-        Linearised residuals at the prior mean; None if the maximum is unknown.
+        Linearised residuals at the prior mean; None if the trace stores no maxima or no prior draws.
     """
 
     S: FloatArray
@@ -158,7 +164,10 @@ class _Linearised(NamedTuple):
 
 
 def _linearise(trace: xr.DataTree) -> _Linearised | None:
-    """Linearise the model at the maximum; return None if its derivatives are unknown."""
+    """Linearise the model at the maximum.
+
+    Return None if the derivatives there are unknown, or if there are residuals other than of frequencies.
+    """
     if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
         return None
     known, used = trace["identifiability"].to_dataset(), trace[GROUP]["mode"].to_numpy()

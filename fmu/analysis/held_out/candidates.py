@@ -30,9 +30,9 @@ _GROUPS, _A_GROUP = 8, 20
 
 
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return quadratic models of log P at all maxima that may have a significant probability.
+    """Return quadratic models of log P at the maxima that may have a significant probability, at most eight.
 
-    The maxima are searched for from `near` and other starting points.
+    These are at most 30 nats below the highest. The maxima are searched for from `near` and other starting points.
     """
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]

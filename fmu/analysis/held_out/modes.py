@@ -104,7 +104,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     Raises
     ------
     ValueError
-        If the trace has no log-likelihood of modes, or only a pseudo-likelihood (the modal residual).
+        If `trace` is no trace, or has no log-likelihood of modes or only a pseudo-likelihood (modal residual).
     """
     check_trace(trace)
     if not has(trace, "log_likelihood"):
@@ -324,7 +324,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
     """Predict several modes from their leave-one-out posteriors, using the same candidates for all of them.
 
     Return the limit on solves and the prediction, keyed by mode index. Modes whose leave-one-out posterior is not
-    covered well are left out.
+    covered well are left out, and so are all if there are fewer than two modes or the pairing is soft.
     """
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
@@ -338,7 +338,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Predict mode `k` by updating with and without it, using at most `most` solves; cache an accurate result."""
+    """Predict mode `k` by updating with and without it, with at most `most` solves, or return a cached row."""
     known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]

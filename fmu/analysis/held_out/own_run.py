@@ -98,7 +98,7 @@ def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 
 
 def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -> bool:
-    """Return True if a maximum lies outside the ellipsoid that contains nearly all draws theta (n, ndim)."""
+    """Return True if an important maximum lies outside the ellipsoid of nearly all draws theta (n, ndim)."""
     from scipy.special import chdtri
 
     draws = scaled.to_scaled(theta)
@@ -110,7 +110,8 @@ def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -
 def is_in_funnel(problem: UpdatingProblem) -> bool:
     """Return True if the posterior is a funnel, so that Gaussians at its maxima are useless as proposals.
 
-    See `fmu.analysis.maxima.starts.are_in_funnel`.
+    See `fmu.analysis.maxima.starts.are_in_funnel`. Without a discrepancy, or if the problem is hierarchical,
+    return False.
     """
     has_discrepancy = problem.likelihood.has_discrepancy and is_searchable(problem)
     return has_discrepancy and are_in_funnel(problem, find_map(problem))

@@ -68,8 +68,8 @@ class Draws:
         """Return the predictive distribution of mode `k`'s measured frequency from importance-weighted draws.
 
         It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These are Gaussian, or
-        Student's if the measurement is the mean of tests whose scatter gives its error. The prediction is NaN if
-        the problem has no error model for frequencies.
+        Student's if the measurement is the mean of tests whose scatter gives its error. Draws at which a solve
+        failed are left out. The prediction is NaN if the problem has no error model for frequencies.
         """
         from scipy.optimize import brentq
 

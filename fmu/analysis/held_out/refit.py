@@ -151,7 +151,8 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
     """Return the problem with only `_SHARE` of its reduced basis, or unchanged if this alters log P noticeably.
 
-    Chains of the cheaper problem only supply proposals, which need not be exact.
+    The median change at the highest draws may be at most 0.5 nats. The problem is also returned if it has no
+    reduced basis. Chains of the cheaper problem only supply proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem
@@ -251,8 +252,8 @@ def _draw_until_enough(
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
     """Return the log-probability of each problem, and the common model's frequencies in Hz, side by side.
 
-    The shape is (n, n_problems + n_modes). The model is solved once at each theta, unless a pairing is soft. The
-    last problem must use all modes of the other problems.
+    The shape is (n, n_problems + n_modes). A log-probability is −inf where a solve fails. The model is solved once
+    at each theta, unless a pairing is soft. The last problem must use all modes of the other problems.
     """
     whole, likelihoods = problems[-1], list[Any](problem.likelihood for problem in problems)
     if whole.model.is_soft:

@@ -48,8 +48,8 @@ class Smoothed(NamedTuple):
 def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
     """Return the importance weights that leave out each mode, keyed by mode label.
 
-    The dict is empty if there are too few draws or the ESS is undefined. A mode is missing if too many draws are
-    equal.
+    The dict is empty if there are fewer than `FEWEST` draws or the ESS is undefined. A mode is missing if too many
+    draws are equal.
     """
     kept = list(map(str, trace["log_likelihood"].data_vars))
     # with correlated errors, the terms that sum to the joint density are not those of each mode given the others

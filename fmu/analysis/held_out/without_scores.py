@@ -72,9 +72,9 @@ def leave_out_by_tests(
     Returns
     -------
     dict
-        The draws, with new scores, and their weights, keyed by mode index. It is empty if `most` does not suffice
-        for 100 draws, or if there is no normal approximation: values correlated in time, soft pairing, and
-        frequency response functions.
+        The draws, with new scores, and their weights, keyed by mode index. A mode is missing if its weights have
+        no tail. The dict is empty if `most` does not suffice for 100 draws, or if there is no normal
+        approximation, as for values correlated in time, a soft pairing, and frequency response functions.
     """
     layout = problem.layout.remove_centring()
     standard, every = problem.with_layout(layout), _rounds(problem)

@@ -63,7 +63,7 @@ class Check:
         Computed modes at the starting point, paired with the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
-        None if the error model is not of modes (the modal residual), or the gradient is not finite.
+        None if there is no error model of modes (modal residual, or FRFs alone), or the gradient is not finite.
     prior : PriorPrediction
         Prior prediction of the measured frequencies.
     rounding : str
@@ -137,7 +137,7 @@ class Check:
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
-        """Return all findings as sentences: model, pairing, gradient, identifiability and prior prediction."""
+        """Return the findings as sentences: model, warnings, pairing, gradient, identifiability and prior."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
         said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
         said += [*self.sensor_doubts, *self.tests]
@@ -155,7 +155,10 @@ class Check:
         return modes_as_text(self.modes)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return a text table with the CoMAC and ECoMAC of each sensor, in descending order of ECoMAC."""
+        """Return a text table with the CoMAC and ECoMAC of each sensor, in descending order of ECoMAC.
+
+        It requires measured mode shapes (`modes.correlation`).
+        """
         assert self.modes.correlation is not None  # there are measured shapes
         return self.modes.correlation.table().map(fixed, places=2).reset_index()
 
@@ -189,7 +192,10 @@ class Check:
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
 
     def point_table(self) -> pd.DataFrame:
-        """Return a text table with the node and distance of each test point, in descending order of distance."""
+        """Return a text table with the node and distance of each test point, in descending order of distance.
+
+        It requires test points (`points`).
+        """
         assert self.points is not None  # there are coordinates
         table = self.points.table().sort_values("distance", ascending=False, kind="stable").reset_index()
         lengths = {f"{key}, m": table[key].map(significant) for key in ("distance", "spacing")}

@@ -85,14 +85,15 @@ def from_emcee(
     Returns
     -------
     xarray.DataTree
-        The groups of `fmu.analysis.trace.conversion.to_trace`; for an updating problem also ``modes``, ``pairing``
-        and ``identifiability``, as from `fmu.sample`. A blob with the problem's frequencies becomes
-        ``model_frequency`` of ``posterior_predictive``, so that no draw is solved again; other blobs are in the
-        group ``blobs``. The group ``emcee`` has ``acceptance_fraction`` (chain, walker) of all stored steps;
-        ``autocorrelation_time`` (chain, parameter) by emcee's own function, in retained draws; ``stored`` and
-        ``discard`` (chain). ``n_solves`` counts one evaluation per walker and step, and one at the start.
-        ``accepted`` tells whether a walker moved in a stored step, or is the walker's acceptance fraction if not
-        all steps were stored. Times are unknown, and therefore NaN.
+        The groups of `fmu.analysis.trace.conversion.to_trace`; for an updating problem also ``modes`` and
+        ``pairing`` and, unless it is hierarchical or has no modal data, ``identifiability``, as from `fmu.sample`.
+        A blob with the problem's frequencies becomes ``model_frequency`` of ``posterior_predictive``, so that no
+        draw is solved again; other blobs are in the group ``blobs``. The group ``emcee`` has
+        ``acceptance_fraction`` (chain, walker) of all stored steps; ``autocorrelation_time`` (chain, parameter) by
+        emcee's own function, in retained draws; ``stored`` and ``discard`` (chain). ``n_solves`` counts one
+        evaluation per walker and step, and one at the start. ``accepted`` tells whether a walker moved in a stored
+        step, or is the walker's acceptance fraction if not all steps were stored. Times are unknown, and therefore
+        NaN.
 
     Raises
     ------
@@ -100,9 +101,10 @@ def from_emcee(
         If there is no such file.
     ValueError
         If no steps are stored, a file cannot be read, ensembles differ in size, too few steps are left, names or
-        blobs cannot be stored, or the stored log-probabilities differ from those of `problem` at five draws.
+        blobs cannot be stored, a number is out of range, or the stored log-probabilities are never finite or
+        differ from those of `problem` at five draws.
     TypeError
-        If `source` is something else.
+        If `source` is none of the types above.
 
     Warns
     -----
@@ -275,7 +277,10 @@ def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | None) -> dict[str, NDArray[Any]]:
-    """Return the blobs at the draws, keyed by name, each of shape (ensembles, draws, ...)."""
+    """Return the blobs at the draws, keyed by name, each of shape (ensembles, draws, ...).
+
+    Raise ValueError if `names` do not fit the blobs, or a blob is not numeric.
+    """
     if ensembles[0].blobs is None:
         if names is not None:
             raise ValueError(f"blob_names: need blobs (got {list(names)}, and none are stored)")
@@ -309,7 +314,8 @@ def _check_log_prob(
     """Check the stored log-probability against the problem at five draws, and take its frequencies from the blobs.
 
     Return the frequencies (chains, draws, n_modes) and remove them from `blobs`, or return None if `blobs` does
-    not contain them. Raise ValueError if a stored log-probability differs from the computed one.
+    not contain them. Raise ValueError if a stored log-probability differs from the computed one by more than
+    `precision` and the tolerance of a reduced model, or if none is finite.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()
@@ -369,7 +375,10 @@ def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Datase
 
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
-    """Return the trace with the model's certificate, modes, pairing and identifiability added."""
+    """Return the trace with the model's certificate, modes and pairing added.
+
+    Identifiability is added too, unless the problem is hierarchical or has no modal data.
+    """
     certificate = certify(trace, problem, full_solves=problem.model.full_solves)
     trace.attrs |= {} if certificate is None else certificate.attributes()
     trace = with_pairing(with_modes(trace, problem, maxima), problem)

@@ -59,7 +59,7 @@ def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | Non
 
 
 def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Return the modes of the full model at given parameter vectors.
+    """Return the modes of the structure at given parameter vectors.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         - If the geometry is known, also ``displacement`` (state, mode, node, direction), where the largest of each
           mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads; and
           ``expanded`` (mode, node, direction), the measured shapes in their own scale, expanded by the modes at
-          the posterior mean.
-        - For a structure without geometry, ``component`` is at all translations if they are few, and the largest
-          component of each mode is 1.
+          the posterior mean, unless there are too few sensors.
+        - For a structure without geometry, ``component`` is at all translations if there are at most 40, and the
+          largest component of each mode is 1.
         - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test; the
           shapes at the sensors, ``computed_in_test`` (state, mode, sensor) and ``measured_in_test`` (mode,
           sensor); and their MAC, ``mac_in_test`` (state, mode).
@@ -236,7 +236,8 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
     """Return, in a dict, the trace group with the sketch of a structure that has several tests.
 
-    The dict is empty if the geometry is unknown. The structure is the first test's. `sketch_of` reads the group.
+    The dict is empty if the model has neither geometry nor a picture. The structure is the first test's.
+    `sketch_of` reads the group.
     """
     import xarray as xr
 

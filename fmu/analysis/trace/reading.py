@@ -61,7 +61,10 @@ def problem_of(trace: xr.DataTree) -> dict[str, Any]:
 
 
 def with_group(trace: xr.DataTree, group: str, dataset: xr.Dataset) -> xr.DataTree:
-    """Return a copy of the trace with one more group. The copy shares the other arrays with the original."""
+    """Return a copy of the trace with a group added or replaced.
+
+    The copy shares the other arrays with the original.
+    """
     import xarray as xr
 
     extended = trace.copy()
@@ -77,7 +80,7 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the names of the parameters to show in tables and figures.
 
-    Test scores of populations are left out if there are many parameters.
+    Test scores of populations are left out if there are more than `MANY` parameters.
     """
     names = parameter_names(trace)
     scores = set(score_names(trace))
@@ -104,7 +107,7 @@ def later_states(trace: xr.DataTree) -> list[str]:
 
 
 def is_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return True if a parameter is a stiffness loss in a later state of the structure, or a value there."""
+    """Return True if a parameter is a loss in a later state of the structure, or a value in such a state."""
     kind, _, where = roles_of(trace).get(name, ("", "", ""))
     return kind in ("loss", "group") and has(trace, LOSSES) and where in later_states(trace)
 
