@@ -224,20 +224,20 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return `LatentErrors.given_common` for each mode, and w's mean and covariance, given the `used` modes.
 
-        If `used` is empty, return the prior: zero means and unit covariances.
+        If `used` is empty, return the prior: zero means and unit covariances. Means are NaN where a solve failed.
         """
         (n, m, P), (*_, C) = (x.shape for x in self._in_hz(seen, theta))
         mean, gain, covariance = np.zeros((n, m, P)), np.zeros((n, m, P, C)), np.tile(np.eye(P), (n, m, 1, 1))
         if not len(used):
             return mean, gain, covariance, np.zeros((n, C)), np.tile(np.eye(C), (n, 1, 1))
         of = self.using(used)
-        latent = of._latent(of._linearise(seen, theta), theta)
-        found = latent.given_common()
+        with np.errstate(all="ignore"):  # the determinants are NaN where a solve failed
+            latent = of._latent(of._linearise(seen, theta), theta)
+            found, (_, w, _, _, of_w) = latent.given_common(), latent.given_residuals()
         for i in np.unique(latent.last):
             rows = self.group == latent.group[i]
             for all_modes, one in zip((mean, gain, covariance), found, strict=True):
                 all_modes[:, rows] = one[:, [i]]
-        _, w, _, _, of_w = latent.given_residuals()
         return mean, gain, covariance, w, of_w
 
     def with_discrepancy(

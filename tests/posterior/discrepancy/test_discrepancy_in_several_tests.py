@@ -1,5 +1,7 @@
 """A model that is wrong in the same way in all tests of a structure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -229,3 +231,17 @@ def test_a_common_loss_is_as_sure_as_without_scatter():
     _, sd = losses_at_the_maximum(damaged((), one))
     _, other = losses_at_the_maximum(damaged(fmu.Discrepancy(tau=0.2), one))
     assert_allclose(other, sd, rtol=0.1)
+
+
+def test_a_failed_solve_leaves_the_errors_at_other_points_as_they_are():
+    """The determinants of its factors, which are NaN, gave warnings when modes were left out."""
+    problem = posed("population", "both", fmu.Discrepancy())
+    theta, of = problem.layout.of_model(points(problem)), problem.likelihood
+    seen = of.observed(theta)
+    expected = of.error_given_others(seen, theta, 1)
+    frequencies, slopes = seen.frequencies.copy(), seen.frequency_slopes.copy()
+    frequencies[0] = slopes[0] = np.nan
+    found = of.error_given_others(replace(seen, frequencies=frequencies, frequency_slopes=slopes), theta, 1)
+    for one, other in zip(found, expected, strict=True):
+        assert np.isnan(one[0])
+        assert_allclose(one[1:], other[1:], rtol=1e-12)
