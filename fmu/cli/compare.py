@@ -17,7 +17,7 @@ _LIKE_RUN = {"pairing", "seed", "overwrite", "chains", "starts", "workers", "pro
 
 
 def _as_in_run(command: click.Command) -> click.Command:
-    """Add the options that a command shares with ``fmu run``."""
+    """Add the options of ``fmu run`` that are named in `_LIKE_RUN` to a command."""
     command.params += [option for option in run.params if option.name in _LIKE_RUN]
     return command
 

@@ -184,7 +184,10 @@ def _run_once(
     cluster: str | None,
     progress: str,
 ) -> int:
-    """Start or resume a run in a directory, and return the exit code."""
+    """Start or resume a run in a directory, and return the exit code.
+
+    Raise UsageError if --exact is given without a surrogate.
+    """
     gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
         stack.enter_context(stoppable())
@@ -305,6 +308,7 @@ def _begin_run(
     """Build and return the problem. Save a new run's options, so that the run can be resumed.
 
     With --overwrite, options are saved only after the problem is built, so an earlier run survives if that fails.
+    If Ctrl-C interrupts the building, the options are saved as well.
     """
     if new and not overwrite:
         running.begin(asked)

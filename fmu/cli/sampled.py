@@ -183,7 +183,10 @@ def _draw_trace(
     running: RunDirectory,
     **arguments: object,
 ) -> xr.DataTree:
-    """Draw with one sampler, write the trace and return it. If it is stopped, StoppedRun names the sampler."""
+    """Draw with one sampler, write the trace and return it.
+
+    If it is stopped or too many solves fail, the error names the sampler. An OSError says how to resume the run.
+    """
     from fmu.samplers.loop.saving import TooManyFailuresError
     from fmu.samplers.registry import make_sampler
 
@@ -295,7 +298,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 @contextmanager
 def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
-    """Append the user function's first failure, if any, to the message of a ValueError."""
+    """Within a ``with`` block, append the user function's first failure, if any, to a ValueError's message."""
     try:
         yield
     except ValueError as error:

@@ -30,7 +30,9 @@ _THINNED = 4
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return True if a surrogate is to be built: on request or, by default, if a model solve is slow.
+    """Return True if a surrogate is to be built: as `asked` or, if that is None, if a model solve is slow.
+
+    A slow model gets a surrogate only if one is possible (`can_learn`).
 
     Raises
     ------

@@ -191,10 +191,7 @@ class MeasurementTable(TomlTable):
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list with an error if a frequency uncertainty is needed but missing, otherwise [].
-
-        Only ``frequencies`` in the problem file are judged here; `build` judges the other sources.
-        """
+        """Return a list with an error if ``frequencies`` lack an uncertainty that is needed, otherwise []."""
         if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
@@ -267,8 +264,9 @@ class MeasurementTable(TomlTable):
         return np.asarray(matrix.toarray())
 
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
-        """Return the modes with sensors and shapes rotated to the model's axes, unless already parallel.
+        """Return the modes with sensors and shapes rotated to the model's axes.
 
+        They are returned unchanged if no points are given, or their axes are already parallel to the model's.
         Rotated shapes lose their standard deviations. Raise BrokenError if shapes cannot be rotated, or if
         `test_shapes` have standard deviations.
         """
@@ -291,7 +289,7 @@ class MeasurementTable(TomlTable):
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
         """Return the model's sensor for each given (place, direction).
 
-        Raise BrokenError if a sensor does not exist.
+        Places are measurement points if `points` is given. Raise BrokenError if a sensor does not exist.
         """
         sensors: list[Dof] = []
         found = Mistakes()
@@ -312,7 +310,7 @@ class MeasurementTable(TomlTable):
         return tuple(sensors)
 
     def _read(self, folder: Path) -> ModesGiven:
-        """Read the modes, tests and covariance from the frequencies' source, and add shapes and sensors."""
+        """Read the modes, tests and covariance, and add shapes and sensors. Raise BrokenError on failure."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         given = self._read_frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
         if self._reads_shapes:

@@ -348,7 +348,7 @@ class ModelTable(TomlTable):
 
     @property
     def decks(self) -> list[str]:
-        """Names of the input decks that are filled with parameter values."""
+        """Names of the input decks that are filled with parameter values; empty for models without decks."""
         return []
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:

@@ -239,7 +239,7 @@ class ProblemFile(TomlTable):
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
     def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
-        """Build the problem with the model's predicted modes as data."""
+        """Build the problem with the model's predicted modes as data. Raise BrokenError if it predicts none."""
         assert self.plan is not None  # for the type checker: see `_is_unmeasured`
         if isinstance(built.model, ModalModel):
             raise BrokenError(

@@ -180,7 +180,10 @@ class TestTable(MeasurementTable):
             raise BrokenError(ArgumentError.of(error).under(where)) from None
 
     def _pick(self, built: Built, are_data: bool, of_frfs: OfFRFs | None) -> ModalData:
-        """Pick the modes at the FRF resonances. They are used in updating only if `are_data` is True."""
+        """Pick the modes at the FRF resonances. They are used in updating only if `are_data` is True.
+
+        Raise BrokenError if the resonances do not fit the model.
+        """
         assert of_frfs is not None  # otherwise there is an error in the file
         try:
             modes = of_frfs.table.pick(of_frfs.errors[self.name], built, self.modes)
@@ -191,7 +194,10 @@ class TestTable(MeasurementTable):
         return replace(modes, numbers=numbers, counterparts=numbers, labels=tuple(map(str, numbers)), use=use)
 
     def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
-        """Build one test per campaign line from `data`, which has all modes, with that line's frequencies."""
+        """Build one test per campaign line from `data`, which has all modes, with that line's frequencies.
+
+        Raise BrokenError if a line gives no valid test.
+        """
         tests, wrong = [], Mistakes()
         for name, group, covariates, frequencies, number in zip(*campaign, strict=True):
             line = f"{self.campaign}, line {number}"

@@ -88,7 +88,10 @@ def _last_step(path: Path) -> str:
 
 
 def _frequencies(text: str, name: str) -> FloatArray:
-    """Return the frequencies in Hz, shape (n_modes,), from column 4 of a step's first table."""
+    """Return the frequencies in Hz, shape (n_modes,), from column 4 of a step's first table.
+
+    Raise ValueError if the table is empty or cut off.
+    """
     found: list[float] = []
     for line in text.splitlines():
         words = line.split()
@@ -126,7 +129,10 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
 
 
 def _number(word: str, name: str) -> float:
-    """Convert a Fortran number to float. Fortran omits the letter E before a three-digit exponent: ``1.0-100``."""
+    """Convert a Fortran number to float. Raise ValueError if it is not a number.
+
+    Fortran omits the letter E before a three-digit exponent: ``1.0-100``.
+    """
     try:
         return float(_NO_LETTER.sub(r"E\1", word))
     except ValueError:

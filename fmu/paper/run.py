@@ -56,8 +56,8 @@ def run_paper(
     out : path-like
         Output directory. Only files that an earlier run wrote there are replaced or removed.
     progress : callable, optional
-        Called as ``progress(phase, done, total, info)``, with one phase for each experiment and for each run with
-        a vector β.
+        Called as ``progress(phase, done, total, info)``, with one phase for each experiment, and for each run with
+        a vector β or with scatter.
     plan : Plan, optional
         Lengths of the runs.
     workers : int, optional
@@ -67,7 +67,8 @@ def run_paper(
     Raises
     ------
     ValueError
-        If the results would overwrite files that fmu did not write. This is checked before the computation.
+        If `out` is not a directory, or the results would overwrite files that fmu did not write. This is checked
+        before the computation.
     """
     plan = plan or Plan()
     directory = OutputDirectory(out)

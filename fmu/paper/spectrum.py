@@ -36,6 +36,11 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
     ----------
     theta : ndarray, shape (n, ndim)
         Parameter vectors, SI units.
+
+    Raises
+    ------
+    ValueError
+        If the model is no structure, or its planes of motion are coupled.
     """
     structure = _structure(problem)
     model: Any = problem.model
@@ -46,7 +51,8 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
     """Return the name and the frequency in Hz of each of the `count` lowest modes, in ascending order.
 
-    The parameters are `theta`, shape (ndim,), SI units.
+    The parameters are `theta`, shape (ndim,), SI units. Raise ValueError under the same conditions as
+    `paired_names`.
     """
     structure = _structure(problem)
     modes = solve_spectrum(structure.blocks, theta[np.newaxis], count)

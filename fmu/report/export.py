@@ -354,7 +354,8 @@ def write_matrices(
 def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, float], target: Path) -> set[str]:
     """Write input decks from templates, and return the names in `values` that no template uses.
 
-    `fmu.formats.decks` describes the templates. A deck is named ``updated-…`` if its name is taken.
+    `fmu.formats.decks` describes the templates. A deck is named ``updated-…`` if its name is taken. Raise
+    ValueError if a template cannot be filled.
     """
     unused = set(values)
     for template in templates:

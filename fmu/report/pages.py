@@ -206,6 +206,11 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
     -------
     Path
         Path to the index page; with a single run, this is the run's own page.
+
+    Raises
+    ------
+    ValueError
+        If `traces` is empty, or contains objects that are not traces, or traces of different problems.
     """
     directory = Path(directory)
     with phase("report", len(traces) + 2) as under_way:

@@ -103,7 +103,7 @@ def unpacked_steps(content: bytes) -> Steps:
 
 
 def unpacked_failures(content: bytes) -> list[Failure]:
-    """Read the failures from the bytes that `packed_steps` returned."""
+    """Read the failures, if there are any, from the bytes that `packed_steps` returned."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:

@@ -94,7 +94,7 @@ class KeptGroup(NamedTuple):
 
     @property
     def chains(self) -> int:
-        """Number of chains."""
+        """Number of chains; 0 if their start is not known yet."""
         at = self.state.group_state
         position = at.start if at.state is None else at.state.position
         return 0 if position is None else len(position)

@@ -121,7 +121,10 @@ class RunReader:
         return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
-        """Return the state of a run started by ``fmu run``; `where` contains its problem and options."""
+        """Return the state of a run started by ``fmu run``; `where` contains its problem and options.
+
+        Raise ValueError if the directory contains no run.
+        """
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))

@@ -210,12 +210,18 @@ class _GroupFiles:
         return None
 
     def steps(self) -> Iterator[tuple[str, int, Steps]]:
-        """Yield each file's phase, the index of its first step, and its steps, in order."""
+        """Yield each file's phase, the index of its first step, and its steps, in order.
+
+        Raise DamagedError if a file is missing or has changed.
+        """
         for segment in self.segments:
             yield segment.phase, segment.first, unpacked_steps(read_segment(self.directory, segment))
 
     def failures(self, group: int) -> list[FailedSolves]:
-        """Return the failed solves, with one entry per step file that contains any."""
+        """Return the failed solves, with one entry per step file that contains any.
+
+        Raise DamagedError if a file is missing or has changed.
+        """
         return [
             _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments

@@ -57,7 +57,8 @@ class FRFsInFile(NamedTuple):
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
         """Return the errors found in the keys ``data``.
 
-        Each test needs this key, or at least one test if there are other error models.
+        Each test needs this key, or at least one test if there are other error models. If `tests` is None, the FRF
+        table needs it.
         """
         where = f"error.{self.number}.data"
         if tests is None:
@@ -93,7 +94,10 @@ def mistakes_of_frfs(
     parameters: Sequence[ParameterTable],
     tests: Sequence[TestTable] | None,
 ) -> list[ArgumentError]:
-    """Return inconsistencies between the tables for FRFs, damping and tests."""
+    """Return inconsistencies between the tables for FRFs, damping and tests.
+
+    If there is no FRF table (`found` is None), damping and FRF files must not be given.
+    """
     if found is None:
         rule = 'is used by frequency response functions only, [[error]] with of = "frf"'
         places = [*(file.where for file in _files_of(tests or [])), *["damping"] * bool(damping)]

@@ -129,7 +129,8 @@ def _equations(
 ) -> Iterator[tuple[dict[DofName, float], DofName, str]]:
     """Yield each equation's coefficients along global axes, its first degree of freedom and its source.
 
-    The first degree of freedom is along the node's own axes.
+    The first degree of freedom is along the node's own axes. Raise RefusedError or ValueError if an equation is
+    malformed or names no single node of the deck.
     """
     rows = one.rows()
     for count, start in enumerate(rows, 1):
@@ -195,7 +196,8 @@ def _transform(
 ) -> dict[int, FloatArray]:
     """Return the local axes of the nodes of a *TRANSFORM, keyed by node id, as rows of arrays of shape (3, 3).
 
-    The axes are rectangular, or cylindrical if TYPE=C.
+    The axes are rectangular, or cylindrical if TYPE=C. Raise ValueError unless there are six coordinates, and
+    RefusedError if they do not define three directions.
     """
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:

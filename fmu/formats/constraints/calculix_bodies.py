@@ -132,7 +132,10 @@ def _couplings(
     face: Callable[[int, str], Sequence[int]],
     notes: list[str],
 ) -> Iterator[_Body]:
-    """Yield each kinematic coupling as a rigid body; append a note to `notes` for each skipped coupling."""
+    """Yield each kinematic coupling as a rigid body; append a note to `notes` for each skipped coupling.
+
+    Raise RefusedError or ValueError if a coupling is malformed, has no nodes or names no known surface.
+    """
     for one, kind in pairwise([*found.keywords, Keyword("", {}, 0)]):
         if one.name != "COUPLING":
             continue

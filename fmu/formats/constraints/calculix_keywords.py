@@ -108,7 +108,8 @@ class Constraints:
 def add_set(found: Constraints, one: Keyword) -> None:
     """Add the members listed under an NSET or ELSET keyword, without duplicates.
 
-    A set may name earlier sets; unknown names are ignored.
+    A set may name earlier sets; unknown names are ignored. Raise ValueError if numbers of GENERATE are not whole,
+    and RefusedError if there are too many members.
     """
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))

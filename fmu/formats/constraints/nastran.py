@@ -207,7 +207,8 @@ def _rbe3(
 def _groups(words: list[str], source: str) -> tuple[Followed, list[tuple[int, list[int]]]]:
     """Return an RBE3's groups of followed points, and its dependent nodes and components.
 
-    The dependent nodes are listed after UM, so there are none without UM.
+    The dependent nodes are listed after UM, so there are none without UM. Groups without nodes are left out. Raise
+    ValueError if no group has nodes, or the entry is malformed.
     """
     groups: Followed = []
     dependents: list[tuple[int, list[int]]] = []

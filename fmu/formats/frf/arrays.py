@@ -50,7 +50,10 @@ _HDF5 = (b"MATLAB 7.3", b"\x89HDF")
 
 
 def read_npz(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Return the FRFs in an ``.npz`` file; see `of_arrays`."""
+    """Return the FRFs in an ``.npz`` file; see `of_arrays`.
+
+    Raise ModesError if the file is broken.
+    """
     checked_file(path, LARGEST_FILE)
     try:
         shapes_in_archive(path)
@@ -66,7 +69,8 @@ def read_npz(path: Path, wanted: Wanted) -> MeasuredFRFs:
 def read_mat(path: Path, wanted: Wanted) -> MeasuredFRFs:
     """Return the FRFs in a MATLAB or HDF5 file; see `of_arrays`.
 
-    The file is read in a separate process, because the reader may crash.
+    The file is read in a separate process, because the reader may crash. Raise ModesError if the file is broken or
+    the reader is not installed.
     """
     checked_file(path, LARGEST_FILE)
     with open(path, "rb") as file:

@@ -135,7 +135,8 @@ class _Axes:
     def _direction(self, node: int, number: int, where: str, mistakes: list[str]) -> str:
         """Convert a node's local direction, numbered from ±1 to ±6, to a global direction.
 
-        An error is appended to `mistakes` if the local axis is not along a global axis, or its system is invalid.
+        An error is appended to `mistakes` if the local axis is not along a global axis or, with an empty
+        direction, if its system is invalid.
         """
         system = self._system.get(node, 0)
         about, k = divmod(abs(number) - 1, 3)
@@ -175,7 +176,10 @@ def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return error messages for malformed content in a dataset, which pyuff does not check."""
+    """Return error messages for malformed content in a dataset, which pyuff does not check.
+
+    The list is empty for functions that are neither FRFs nor coherences.
+    """
     if one["type"] in SYSTEMS:
         kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
         return (

@@ -77,7 +77,10 @@ def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Read the stiffness or mass matrix, with both triangles filled and row names."""
+    """Read the stiffness or mass matrix, with both triangles filled and row names.
+
+    Raise RefusedError if the file cannot be read, or names no direction or other degrees of freedom in a row.
+    """
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)
     name = choose_variable([name for name in NAMES if f"{name}_row" in found], variable)

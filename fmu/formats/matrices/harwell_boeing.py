@@ -73,7 +73,10 @@ def _lines(file: BinaryIO, count: int) -> Iterator[str]:
 
 
 def _count(line: str, at: int) -> int:
-    """Return the integer in the 14-character field of a header line that begins at column `at`."""
+    """Return the integer in the 14-character field of a header line that begins at column `at`.
+
+    Raise ValueError if the field has no digits.
+    """
     word = line[at : at + 14].strip()
     if not word.isdecimal():
         raise ValueError(f"its header must have counts (got {word!r})")
@@ -84,7 +87,7 @@ def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Float
     """Read numbers from fixed-width columns in a Fortran format, such as ``(10I8)`` or ``(1P,3D26.18)``.
 
     If the text has the expected number of words separated by blanks, the widths are ignored, because SciPy writes
-    wider columns than the format states.
+    wider columns than the format states. Raise ValueError if there are fewer numbers, or the format is unknown.
     """
     if n_lines > expected:
         raise ValueError(f"it announces {n_lines} lines for {expected} numbers")

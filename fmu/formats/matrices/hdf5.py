@@ -74,7 +74,10 @@ def read(path: Path, variable: str | None) -> Labelled:
 
 
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
-    """Yield the path and object of each group and dataset. Links and components of sparse matrices are skipped."""
+    """Yield the path and object of each group and dataset. Links and components of sparse matrices are skipped.
+
+    Raise RefusedError if there are too many of them, or groups are nested too deeply.
+    """
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):
         if not ahead:
@@ -139,7 +142,7 @@ def _part(group: h5py.Group, name: str) -> AnyArray:
 
 
 def _numbers(dataset: h5py.Dataset) -> AnyArray:
-    """Read a dataset after checking that it is numeric, stored in this file and not too large.
+    """Read a dataset. Raise RefusedError unless it is numeric, stored in this file and not too large.
 
     Chunks are checked too, because each is read as a whole and may be larger than the dataset.
     """
@@ -173,7 +176,10 @@ def _sparse(group: h5py.Group) -> sp.sparray:
 
 
 def _sizes(given: ArrayLike, n: int) -> tuple[int, ...]:
-    """Return `n` sizes, such as the row and column counts, as ints between 1 and `MOST_DOFS`."""
+    """Return `n` sizes, such as the row and column counts, as ints between 1 and `MOST_DOFS`.
+
+    Raise RefusedError if they are anything else.
+    """
     sizes = np.ravel(given)
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
         raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {quote(sizes.tolist())})")

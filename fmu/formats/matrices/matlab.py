@@ -103,7 +103,10 @@ def _is_names(name: str) -> bool:
 
 
 def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
-    """Convert a table (n, 2) of node ids and direction numbers to row names (node, direction)."""
+    """Convert a table (n, 2) of node ids and direction numbers to row names (node, direction).
+
+    Raise RefusedError if a number is not whole or out of range.
+    """
     rows = sp.coo_array(table).toarray()
     is_whole = np.all(rows == np.floor(rows)) and np.all(rows >= 1) and np.all(rows < 2**31)
     if not is_whole or rows[:, 1].max(initial=1) > len(DIRECTIONS):
@@ -135,7 +138,10 @@ def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
 
 
 def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, _Variable]]:
-    """Yield the name and header of every numeric matrix in a file, including those in structs."""
+    """Yield the name and header of every numeric matrix in a file, including those in structs.
+
+    Raise ValueError if the file is broken, and RefusedError if it has too many variables.
+    """
     at = 128
     for _ in range(MOST_NAMES):
         file.seek(at)
@@ -170,7 +176,10 @@ def _is_matrix(kind: int, shape: list[int]) -> bool:
 
 
 def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[str, _Variable]]:
-    """Yield the name and header of every numeric matrix in a struct."""
+    """Yield the name and header of every numeric matrix in a struct.
+
+    Raise ValueError if the struct is broken.
+    """
     parts = _parts(body, order)
     length, names = (part for _, part in islice(parts, 3, _FIELDS))
     width = int(np.frombuffer(length, f"{order}i4")[0])

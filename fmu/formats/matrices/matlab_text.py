@@ -52,7 +52,10 @@ class _Place(NamedTuple):
 
 
 def _places(text: str) -> tuple[dict[str, _Place], set[str]]:
-    """Return the `_Place` of each matrix, keyed by name, and the names of tables used to build sparse matrices."""
+    """Return the `_Place` of each matrix, keyed by name, and the names of tables used to build sparse matrices.
+
+    Raise ValueError if a matrix is cut short, and RefusedError if there are too many.
+    """
     places: dict[str, _Place] = {}
     tables: set[str] = set()
     at = 0
@@ -123,7 +126,10 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
 
 
 def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
-    """Parse the array (rows, columns) up to the closing bracket; return it and the position after the bracket."""
+    """Parse the array (rows, columns) up to the closing bracket; return it and the position after the bracket.
+
+    Raise ValueError if the rows differ in length, a word is not a number, or the bracket is missing.
+    """
     end = text.find("]", at)
     if end < 0:
         raise ValueError(f"{name} is cut short")

@@ -35,7 +35,10 @@ _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Read a ``.mtx`` file, which is a Matrix Market file or text written by Abaqus."""
+    """Read a ``.mtx`` file, which is a Matrix Market file or text written by Abaqus.
+
+    Raise RefusedError if `variable` is given, except for element matrices of Abaqus.
+    """
     is_compressed = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_compressed else open(path, "rb") as file:
         start = file.read(LONGEST_LINE)
@@ -101,7 +104,10 @@ def _line(file: BinaryIO) -> str:
 
 
 def _banner(line: str) -> list[str]:
-    """Return the layout, field and symmetry given in the banner, in lower case."""
+    """Return the layout, field and symmetry given in the banner, in lower case.
+
+    Raise ValueError if the banner is of an unknown kind.
+    """
     words = line.lower().split()
     if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
         raise ValueError(f"unknown kind {line.strip()[:100]!r}")
@@ -109,7 +115,10 @@ def _banner(line: str) -> list[str]:
 
 
 def _sizes(file: BinaryIO, layout: str) -> list[int]:
-    """Return the row and column counts and, for the coordinate layout, the entry count."""
+    """Return the row and column counts and, for the coordinate layout, the entry count.
+
+    Raise ValueError if they are not whole numbers, or there are too many comments.
+    """
     for _ in range(MOST_COMMENTS):
         line = _line(file)
         if line.strip() and not line.startswith("%"):
@@ -125,8 +134,8 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
 def _count_stored(rows: int, columns: int, sign: float) -> int:
     """Return how many values the array layout stores.
 
-    These are one triangle for a symmetric matrix, without the diagonal if it is skew-symmetric, and otherwise all.
-    Raise ValueError if a symmetric matrix is not square.
+    A symmetric matrix is stored as one triangle, a skew-symmetric one as a triangle without the diagonal, and any
+    other in full. Raise ValueError if a symmetric or skew-symmetric matrix is not square.
     """
     if not sign:
         return rows * columns

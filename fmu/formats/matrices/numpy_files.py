@@ -33,6 +33,8 @@ def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
     ------
     RefusedError
         If there are too many arrays, or they are too large.
+    ValueError
+        If an array contains Python objects.
     Exception
         Any error that zipfile and NumPy raise on a broken file.
     """

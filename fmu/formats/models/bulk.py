@@ -143,7 +143,10 @@ def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) 
 
 
 def _members(deck: _Deck, name: str, fields: list[str]) -> None:
-    """Add an ASET entry's components to the a-set, or an SPC entry's components to the fixed DOFs of its set."""
+    """Add an ASET entry's components to the a-set, or an SPC entry's components to the fixed DOFs of its set.
+
+    Raise RefusedError or ValueError if the entry is malformed.
+    """
     skipped = 0 if name.startswith("ASET") else 1
     into = deck.held.setdefault(identity(fields[0], f"{name}: its set"), {}) if skipped else deck.kept
     if name.endswith("1"):

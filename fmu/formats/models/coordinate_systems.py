@@ -115,7 +115,10 @@ class Systems:
         return np.asarray(origin + local @ own)
 
     def _frame(self, system: int, depth: int) -> tuple[FloatArray, FloatArray]:
-        """Return a system's origin (3,) and unit vectors (rows of a (3, 3) array) in global coordinates."""
+        """Return a system's origin (3,) and unit vectors (rows of a (3, 3) array) in global coordinates.
+
+        Raise RefusedError if the system is not defined, its points are in line, or systems refer to themselves.
+        """
         if system in self._frames:
             return self._frames[system]
         if system not in self.definitions:

@@ -81,7 +81,7 @@ def read_f06(
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
     """Read all modes in an F06 file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    Node axes are read from the deck if it is bulk data.
+    Node axes are read from the deck if it is bulk data. Raise ModesError as `read_f06` does.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 
@@ -91,7 +91,8 @@ def _read_printed(
 ) -> tuple[FloatArray, FloatArray | None, list[int]]:
     """Return the frequencies in Hz, the shapes and the mode numbers; see `read_f06`.
 
-    The shapes are None if there are no sensors. A frequency that is not printed is 0.
+    The shapes are None if there are no sensors. A frequency that is not printed is 0. Raise ModesError if the file
+    or deck cannot be read, or lacks modes or a sensor's node.
     """
     path = checked_file(file)
     if path.suffix.lower() in (".op2", ".xdb"):

@@ -210,7 +210,7 @@ def _mesh(
 
 
 def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset]) -> dict[int, Place]:
-    """Return the place of each node that is used, keyed by node number."""
+    """Return the place of each used node, keyed by node number. Raise ModesError if a node is in no mode."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
         return {node: node for node in there}
@@ -347,7 +347,7 @@ def read_datasets(
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return error messages for malformed content in a dataset with modes, which pyuff does not check."""
+    """Return error messages if a dataset contains malformed modes, which pyuff does not check; otherwise []."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"

@@ -192,7 +192,10 @@ def runs_sentence(study: WrongModel) -> str:
 
 
 def plot_wrong_model(studies: Sequence[WrongModel], figure: Figure | None = None) -> Figure:
-    """Plot each measured frequency with its predictions from the other modes, one panel per experiment."""
+    """Plot the errors, in %, with which each measured frequency is predicted from the other modes.
+
+    There is one panel per experiment, with predictions without and with scatter.
+    """
     figure = figure or new_figure(7.6, 2.6 * ((len(studies) + 1) // 2) + 0.8)
     frames = figure.subplots((len(studies) + 1) // 2, 2, sharex=True, squeeze=False).ravel()
     looks = {WITHOUT: (GREY, "s"), WITH: (COLOURS[SAMPLER], "o")}

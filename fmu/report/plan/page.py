@@ -32,7 +32,10 @@ _CASES = (
 
 
 def plan_page(plan: Plan, simulated: SimulatedTests | None = None) -> Page:
-    """Return the page for a plan: verdicts, sensors, accuracy, customary choices, and further tests."""
+    """Return the page for a plan: verdicts, sensors, accuracy, customary choices, and further tests.
+
+    Simulated tests are shown if there are any.
+    """
     n = len(plan.chosen)
     lead = f"{len(plan.design.names)} parameters, {len(plan.design.modes)} modes, {n} sensors. {date.today()}."
     sections = [_sensors(plan), _accuracy(plan), _choices(plan), _further(plan)]

@@ -121,7 +121,8 @@ def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]
 def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
     """Return a table that compares the repeated tests with the predictive distribution for one more test.
 
-    A list of warnings about the tests' repeatability follows, if there are any.
+    A list of warnings about the tests' repeatability follows, if there are any. Raise ValueError if the run has no
+    prediction of frequencies.
     """
     table = run.prediction
     if table is None:

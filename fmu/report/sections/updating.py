@@ -170,7 +170,8 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
 def _mean_error(run: ReportedRun, before: FloatArray) -> str:
     """Return sentences on the mean frequency error before and after updating, and on modes that became worse.
 
-    If a frequency before updating is unknown, only the error after updating is given.
+    If a frequency before updating is unknown, only the error after updating is given. Raise ValueError if the run
+    has no prediction of frequencies.
     """
     table = run.prediction
     if table is None:

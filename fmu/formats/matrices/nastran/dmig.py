@@ -27,7 +27,10 @@ SYMMETRIC = 6
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Read a matrix. Its rows are the nodes and components named by its entries, in ascending order."""
+    """Read a matrix. Its rows are the nodes and components named by its entries, in ascending order.
+
+    Raise RefusedError if there is no such matrix, or it is complex, empty or too large.
+    """
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0
@@ -68,7 +71,10 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _place(node: str, component: str, name: str) -> int:
-    """Return 8 × node + direction (from 0), the key by which rows are sorted."""
+    """Return 8 × node + direction (from 0), the key by which rows are sorted.
+
+    Raise ValueError unless there is one component.
+    """
     directions = components(component, f"DMIG {name}: a component")
     if len(directions) != 1:
         raise ValueError(f"DMIG {name}: a component must be one of 0 to 6 (got {component})")

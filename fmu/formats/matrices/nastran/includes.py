@@ -1,7 +1,7 @@
 """Reader for the lines of a Nastran deck, with each ``INCLUDE`` replaced by the included file's lines.
 
-File names may be in quotes, and a quoted name may continue over several lines. Names are relative to the folder
-that contains the deck or the including file, and must lie inside the deck's folder.
+File names may be in quotes, and a quoted name may continue over several lines. A file is looked for in the deck's
+folder and then in the folder of the including file. It must lie inside the deck's folder.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def deck_lines(path: Path) -> Iterator[str]:
     Raises
     ------
     RefusedError
-        If an included file does not exist, lies outside the deck's folder or includes itself, or there are too
-        many or too large files.
+        If an included file does not exist, lies outside the deck's folder or includes itself, if files are too
+        many, too large or nested too deeply, or if an INCLUDE entry is malformed.
     ValueError
         If a file is not text.
     """
@@ -60,7 +60,8 @@ def _lines(
 ) -> Iterator[str]:
     """Yield the lines of a file and of the files that it includes.
 
-    `within` is the chain of files that include this one. Included files are added to `found` if it is given.
+    `within` is the chain of files that include this one. Included files are added to `found` if it is given. Raise
+    RefusedError under the same conditions as `deck_lines`.
     """
     count.files += 1
     count.size += path.stat().st_size

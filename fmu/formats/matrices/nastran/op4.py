@@ -65,8 +65,8 @@ class _Entries:
     def add(self, column: int, row: int, values: AnyArray) -> None:
         """Add consecutive values of a column, starting at `row`; column and row are counted from 1.
 
-        MYSTRAN writes full columns. If at most half of the values are nonzero, only the runs of nonzeros are
-        stored.
+        Raise ValueError if a value is outside the rows of the matrix. MYSTRAN writes full columns. If at most half
+        of the values are nonzero, only the runs of nonzeros are stored.
         """
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
@@ -119,12 +119,18 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name and entries of each matrix. The entries are None for every matrix except `variable`."""
+    """Yield the name and entries of each matrix. The entries are None for every matrix except `variable`.
+
+    Raise ValueError if the file is broken, and RefusedError if a column is too large.
+    """
     end = file.seek(0, 2)
     file.seek(0)
 
     def record(wanted: bool = True, first: int = 0) -> bytes:
-        """Return the next record, or only its first `first` bytes if it is not `wanted`."""
+        """Return the next record, or only its first `first` bytes if it is not `wanted`.
+
+        Raise ValueError if the record is broken, and RefusedError if it is larger than `LARGEST_RECORD`.
+        """
         size = _length(file.read(4))
         if file.tell() + size + 4 > end:
             raise ValueError("it is cut short")
@@ -175,7 +181,10 @@ def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tup
 
 
 def _strings(entries: _Entries, column: int, data: bytes, whole: np.dtype, real: np.dtype) -> None:
-    """Add the strings (runs of consecutive nonzeros) of a sparse column."""
+    """Add the strings (runs of consecutive nonzeros) of a sparse column.
+
+    Raise ValueError if the column is cut short, or a string does not fit in it.
+    """
     at = 0
     while at < len(data):
         if entries.header.big:
@@ -200,7 +209,8 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
     """Yield the name and entries of each matrix. The entries are None for every matrix except `variable`.
 
     Lines with a decimal point contain values; the other lines give the column and row of the values that follow.
-    The word counts on these lines are ignored, because some programs write wrong counts.
+    The word counts on these lines are ignored, because some programs write wrong counts. Raise ValueError if the
+    text is broken.
     """
     header, entries, width = None, None, 0
     column = row = 0
