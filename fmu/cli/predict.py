@@ -103,7 +103,7 @@ def _predict(
     draws: int,
     false_alarms: float,
 ) -> pd.DataFrame:
-    """Return the table from `fmu.predict_tests`, with further columns: the rate of false alarms, and whether a test departs.
+    """Return the table from `fmu.predict_tests`, with columns ``false_alarms`` and ``departs`` (a bool) added.
 
     `tests` maps line numbers in the file to tests. Raise ConfigurationError if a test is wrong, and ValueError if
     `false_alarms` is below the smallest p-value that the draws can give.

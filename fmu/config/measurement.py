@@ -249,7 +249,7 @@ class MeasurementTable(TomlTable):
     def _covariance(self, folder: Path) -> ArrayLike | None:
         """Return the frequency covariance in Hz², shape (n_modes, n_modes), or None if it is not given.
 
-        Raise BrokenError if its file cannot be read.
+        Raise BrokenError if its file cannot be read or has too many rows.
         """
         if not isinstance(self.covariance, str):
             return self.covariance

@@ -53,7 +53,7 @@ def quote(value: object) -> str:
 
 
 def names_shown(names: Collection[object]) -> str:
-    """Return names joined by commas.
+    """Return names joined by commas, each cut after `MOST` characters.
 
     If there are more than `MOST_NAMES`, give the first ones and the total number.
     """

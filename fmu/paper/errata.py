@@ -276,7 +276,10 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _errors(case: str) -> Iterator[Erratum]:
-    """Yield an erratum for each printed error that rounding cannot reconcile with its frequency."""
+    """Yield an erratum for each printed error that rounding cannot reconcile with its frequency.
+
+    Errors beside misprinted frequencies are left out (`_frequencies`).
+    """
     experiment = EXPERIMENTS[case]
     for name, column in experiment.columns.items():
         for i in experiment.inconsistent_errors(name):

@@ -253,7 +253,7 @@ def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
     """Raise ValueError unless `problem` is the problem that was sampled.
 
     The model matrices may differ by rounding, for example on another machine. In that case the model frequencies
-    at a few draws must agree with the frequencies stored in the trace.
+    at a few draws must agree within `_MATCHING` with the frequencies stored in the trace.
     """
     sampled = problem_of(trace)
     now = json.loads(canonical_json(problem.configuration()))

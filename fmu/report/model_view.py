@@ -36,7 +36,8 @@ _CORNER = (0.6, 0.45)
 def model_view(run: ReportedRun) -> View | None:
     """Return a view of the structure with its modes, coloured by the parameter changes.
 
-    Return None if the trace has no geometry or no displacements, or if the structure has too many elements.
+    Return None if the trace has no geometry or no displacements, or if the structure has more than `MOST_LINES`
+    elements. A large mesh is shown with its first modes only.
     """
     found = sketch_of(run.trace)
     if found is None or len(found.elements) > MOST_LINES or not has(run.trace, GROUP, "displacement"):

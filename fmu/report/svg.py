@@ -171,7 +171,10 @@ def _round_coordinates(attribute: re.Match[str]) -> str:
 
 
 def _short_path(attribute: re.Match[str]) -> str:
-    """Return a path attribute. A long path of straight lines is rewritten in relative tenths of a point."""
+    """Return a path attribute with rounded coordinates.
+
+    A path of `_SHORT_PATH` or more straight lines is rewritten in relative tenths of a point.
+    """
     path = attribute[1]
     if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):
         return _round_coordinates(attribute)

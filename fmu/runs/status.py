@@ -204,7 +204,10 @@ class RunReader:
 
 
 def _state(at_work: ProcessInfo | None, directory: Path) -> str:
-    """Return the state of an unfinished run: ``"running"``, ``"stopped"``, ``"killed"`` or ``"silent"``."""
+    """Return the state of an unfinished run: ``"running"``, ``"stopped"``, ``"killed"`` or ``"silent"``.
+
+    A run on another machine is silent if it has written nothing for `SILENT_S` seconds.
+    """
     if at_work is None:  # stopped, unless a process has just created the directory
         return RUNNING if _begins(directory) else STOPPED
     alive = at_work.is_alive()

@@ -99,7 +99,7 @@ class Constraints:
         self.keywords[-1].lines.append(line)
 
     def count(self, n_members: int, source: str) -> None:
-        """Add `n_members` to the total size of all sets. Raise RefusedError if that total is too large."""
+        """Add `n_members` to the total size of all sets. Raise RefusedError if it then exceeds `MOST_ENTRIES`."""
         self.n_members += n_members
         if self.n_members > MOST_ENTRIES:
             raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")

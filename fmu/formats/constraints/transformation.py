@@ -61,7 +61,8 @@ def transformation(
     ------
     RefusedError
         If a degree of freedom is dependent twice, or both dependent and fixed; if dependencies are circular; or if
-        T has too many entries or one that is not finite. The message names them and the constraints.
+        T has too many entries or one that is not finite. Unless there are too many entries, the message names
+        degrees of freedom.
     """
     still = set(held)
     source = _check_dependents(equations, still)

@@ -101,7 +101,7 @@ def _of_supports(count: int) -> str:
 
 
 def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofName]) -> None:
-    """Raise RefusedError if applying the constraints would give matrices with too many entries."""
+    """Raise RefusedError if applying the constraints would give matrices of more than `MOST_ENTRIES` entries."""
     counts = dict(zip(T.dofs, np.diff(T.T.indptr).tolist(), strict=True))
     largest: dict[str, int] = {}
     for one in equations:
@@ -120,7 +120,8 @@ def motions_of(
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
     """Return the motions of nodes with dependent degrees of freedom along global axes, and notes.
 
-    Nodes that follow degrees of freedom without rows are left out, and a note lists them.
+    Motions that equal a row are left out. So are nodes that follow degrees of freedom without rows; a note lists
+    them.
 
     Parameters
     ----------

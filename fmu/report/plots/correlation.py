@@ -34,6 +34,8 @@ def plot_mac_matrix(
 ) -> Axes:
     """Plot a matrix of MAC values between mode shapes. The default axis labels suit an AutoMAC matrix.
 
+    Values are written into the cells if there are at most 12 rows and columns; beyond 6, zeros are not written.
+
     Parameters
     ----------
     values : ndarray, shape (n_rows, n_columns)

@@ -49,7 +49,11 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
 
 
 def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
-    """Return sentences on the linearised model's sensitivities, and a figure of its sensitivity matrix."""
+    """Return sentences on the linearised model's sensitivities, and a figure of its sensitivity matrix.
+
+    The sentences name parameters with less than a tenth of the largest sensitivity, and parameters that cannot be
+    separated.
+    """
     size = np.linalg.norm(found.sensitivity, axis=0)
     weak = [name for name, x in zip(found.names, size, strict=True) if x < _WEAK * size.max()]
     said = "Every parameter affects at least one mode noticeably."

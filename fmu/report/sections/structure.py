@@ -37,7 +37,10 @@ MOST_DRAWN = 5000
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
-    """Return a drawing of the structure with its legend; empty if it has no geometry or is very large."""
+    """Return a drawing of the structure with its legend.
+
+    It is empty if the trace has no geometry, or the structure has more than `MOST_DRAWN` elements.
+    """
     found = sketch_of(trace)
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")

@@ -119,7 +119,8 @@ def population(run: ReportedRun) -> PageSection | Omitted:
 def _outliers(run: ReportedRun) -> list[Part]:
     """Return a sentence on the tests that may be outliers, and a table of the most probable outliers.
 
-    There is no table if no test has a probability of at least `_UNLIKELY`.
+    The table lists at most 20 tests, whose probability is at least `_UNLIKELY`. There is no table without such
+    tests.
     """
     group = run.trace["populations"].to_dataset()
     names, tests = group["population"].to_numpy().tolist(), group["test"].to_numpy().tolist()
@@ -279,7 +280,10 @@ def _question(run: ReportedRun, state: str) -> str:
 
 
 def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
-    """Return the verdict on the losses in one state. `table` has a row for each parameter."""
+    """Return the verdict on the losses in one state. `table` has a row for each parameter.
+
+    A loss is certain from a probability of `_CERTAIN` and possible above 50 %. At most three of each are named.
+    """
     question = _question(run, state)
     p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
     by_size = table["mean"].sort_values(ascending=False).index

@@ -229,7 +229,7 @@ def _crossings(run: ReportedRun, seen: Visits) -> str:
 
 
 def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
-    """Return a table that compares the maxima with the starting point, the posterior mean and the measurement."""
+    """Return a table that compares the highest maxima with the start, the posterior mean and the measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2

@@ -64,7 +64,10 @@ def _change(run: ReportedRun, name: str) -> float:
 
 
 def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the verdict on the parameter changes. `names` is sorted so that the largest change comes first."""
+    """Return the verdict on the parameter changes: the first three of `names`, with the largest change first.
+
+    The verdict says that the data determine nothing if there are no names.
+    """
     question = "What changed?"
     if not names:
         return Verdict(question, "Nothing that the data determine", None, said=_errors(run))
@@ -99,7 +102,7 @@ def _errors(run: ReportedRun) -> str:
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
     """Return the verdict that gives the posterior means and sds of the parameters that changed most.
 
-    They are the parameters that `judge_change` shows first.
+    They are the first three of `names`, which `judge_change` shows too.
     """
     question = "How sure is that?"
     if not names:

@@ -25,7 +25,10 @@ MOST_DRAWN = 6
 
 
 def frfs(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the frequency response functions, or `Omitted` if none were measured."""
+    """Return the section on the frequency response functions, or `Omitted` if none were measured.
+
+    All functions are listed, but at most `MOST_DRAWN` are drawn: those with the largest errors.
+    """
     title, names = "Frequency response functions", frf_names(run.trace)
     if not names:
         return Omitted(title, "none were measured")
