@@ -306,7 +306,7 @@ class Posterior:
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first SeparableModel that depends on parameter `k` of theta, and its index there, or None."""
+        """Return the first SeparableModel that depends on parameter `k` and its index there, or None without one."""
         of = self.roles[k].of
         return None if of is None else self.model.matrices_of(of)
 

@@ -102,8 +102,9 @@ class UpdatingProblem(Posterior):
     Raises
     ------
     ValueError
-        If the model does not fit the parameters or the data, two parameters share a name, or the rounding errors
-        of the matrices exceed the measurement errors (`fmu.posterior.rounding`).
+        If the model or an error model does not fit the parameters or the data, two parameters share a name, a
+        structure has no finite log-probability at the start, or the rounding errors of the matrices exceed the
+        measurement errors (`fmu.posterior.rounding`).
 
     Warns
     -----

@@ -59,9 +59,9 @@ class Rounding:
     Attributes
     ----------
     relative : ndarray, shape (n_modes,)
-        Expected relative error of each frequency.
+        Expected relative error of each frequency; infinite for a frequency of 0.
     of_sd : ndarray, shape (n_modes,)
-        Expected error of each frequency in measurement standard deviations.
+        Expected error of each frequency in measurement standard deviations; 0 if frequencies have no error model.
     mode : str
         Label of the measured mode with the largest `of_sd`.
     where : str

@@ -85,8 +85,8 @@ class Discrepancy:
         two modes, from 0 to 1; 0 if not given. An inferred correlation has a uniform prior.
     shape_sd : float, optional
         For "modes". Standard deviation of the errors in mode shape components, where the largest component is 1.
-        For frequency response functions, standard deviation of the residue errors, relative to the root mean
-        square of all residues. Inferred if not given.
+        For frequency response functions, standard deviation of a mode's residue errors, relative to the root mean
+        square of its residues over the functions. Inferred if not given.
     length : float, optional
         For "modes". Distance in m over which the error correlation between two sensors with the same direction
         falls to 1/e. Errors are independent if it is not given or the model has no sensor coordinates.

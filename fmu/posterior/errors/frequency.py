@@ -42,6 +42,11 @@ class FrequencyErrors:
         Standard deviation sd_d of the model error, to be inferred, in the unit of ε. The model error is
         independent from mode to mode and adds sd_d²/w_i to the variance of ε_i.
 
+    Raises
+    ------
+    ValueError
+        If a standard deviation or a weight is not positive and finite.
+
     Notes
     -----
     Model errors are rarely independent. A mass that was not modelled shifts many frequencies, and the parameters
@@ -284,11 +289,6 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     ------
     ValueError
         If the covariance is not symmetric and positive definite, or does not have the shape (n_modes, n_modes).
-
-    Notes
-    -----
-    Products with L and L⁻¹ are accumulated column by column. BLAS would sum in an order that depends on the number
-    of theta in a batch.
     """
 
     of_frequencies = is_least_squares = is_chi_square = True
@@ -390,7 +390,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return the product A x along an axis of `x`, in C order, summed in an order independent of the batch."""
+    """Return the product A x along an axis of `x`, summed in the same order for all batch sizes, unlike BLAS."""
     total = np.zeros(x.shape)
     along = (slice(None),) * (axis % x.ndim)
     columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))

@@ -29,7 +29,7 @@ class ModalLikelihood(Likelihood):
     Parameters
     ----------
     model : ModalModel
-        A function of the leading parameters. It must compute shapes if there are shape errors.
+        Its parameters come first in theta. It must compute shapes if there are shape errors.
     data : ModalData
     errors : sequence of ErrorModel
     quantities : sequence of QuantityTerm

@@ -115,8 +115,8 @@ def spread(
     ------
     ValueError
         If a known standard deviation is not positive and finite or does not have the shape of the errors, an
-        inferred one has a negative lower bound or the name of another parameter, or neither `sd` nor `model_sd` is
-        given.
+        inferred standard deviation has a negative lower bound or the name of another parameter, or neither `sd`
+        nor `model_sd` is given.
     """
     inferred = [p for p in map(parameter_in, (sd, model_sd)) if p is not None]
     for parameter in inferred:

@@ -64,8 +64,8 @@ class ShapeErrors:
         ------
         ValueError
             If shapes were not measured at two sensors or more, standard deviations are missing, standard
-            deviations or weights do not fit the data, or an inferred one has a negative lower bound or the name of
-            another parameter.
+            deviations or weights do not fit the data, or an inferred standard deviation has a negative lower bound
+            or the name of another parameter.
         """
         unit = unit_shapes(data, "shape errors")
         size = np.ones(unit.shape) / np.sqrt(mode_weights(self.weights, unit.shape[1]))

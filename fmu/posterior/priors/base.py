@@ -95,7 +95,8 @@ class Prior(ABC):
         """Return the finite interval in which a reduced model must be accurate.
 
         By default the interval contains all but 6e-5 of the probability, like four standard deviations of a
-        Gaussian. It extends to any bound where the density is not small, since the posterior may be large there.
+        Gaussian. It extends to a bound where the density is at least half as large as at the interval's end, since
+        the posterior may be large there.
         """
         inner, bounds = self.quantile(_ENDS, lower, upper), np.array([lower, upper])
         dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)

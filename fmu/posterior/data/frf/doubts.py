@@ -92,9 +92,10 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return a list with a warning if the FRFs fit another kind better, otherwise an empty list.
+    """Return a list with a warning if the FRFs do not fit their kind, otherwise an empty list.
 
-    The evidence is the slope at low frequencies and the phase at resonances.
+    The evidence is the slope at low frequencies and the phase at resonances. There is no warning without
+    resonances.
     """
     signs = _signs(spectra, k)
     if signs is None or (signs.slope_fits(k) and signs.phase_fits(k)):
@@ -157,7 +158,11 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
 
 
 def _power_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return one sentence for each driving point at which the force seems to extract power."""
+    """Return one sentence for each driving point at which the force seems to extract power.
+
+    This is reported if it occurs at `_FEWEST_WRONG` lines or more, and at least the share `_WRONG_SHARE` of the
+    clear lines.
+    """
     other = "" if k == 1 else f", or if it is {'a receptance' if k else 'an accelerance'}, say so by its kind"
     told = []
     for i in np.flatnonzero(spectra.at_drive).tolist():
