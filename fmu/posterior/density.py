@@ -306,12 +306,12 @@ class Posterior:
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first SeparableModel that depends on parameter `k` and its index there, or None without one."""
+        """Return the first SeparableModel that depends on parameter `k`, and its index there, or None."""
         of = self.roles[k].of
         return None if of is None else self.model.matrices_of(of)
 
     def with_layout(self, layout: Layout) -> Self:
-        """Return the same problem with another layout of the same parameters. Only the scores differ."""
+        """Return the same problem with a layout that differs only in the definition of the tests' scores."""
         other = copy(self)
         other.layout, other.prior, other._failed = layout, self._prior_of(layout), FailureRecord()
         return other

@@ -29,7 +29,7 @@ class ModalResidual(Likelihood):
     ----------
     model : SeparableModel
     data : ModalData
-        With sensors and shapes.
+        With sensors, each at another degree of freedom, and shapes.
     reference : ndarray, shape (n_parameters,)
         θ_ref, usually the parameters before updating.
     beta : float or array_like, shape (n_modes,)
@@ -38,8 +38,8 @@ class ModalResidual(Likelihood):
     Raises
     ------
     ValueError
-        If no shapes were measured, a sensor is not a degree of freedom or is given twice, a β is not positive and
-        finite, or the model is a mechanism when the degrees of freedom at the sensors are fixed.
+        If no shapes were measured, a sensor is not a degree of freedom, a β is not positive and finite, the number
+        of β is wrong, or the model is a mechanism when the degrees of freedom at the sensors are fixed.
 
     Notes
     -----

@@ -63,7 +63,8 @@ class StudentErrors(FrequencyErrors):
         Raises
         ------
         ValueError
-            If `freedom` may be below 1, the data's covariance would be used, or `FrequencyErrors.bind` raises it.
+            If `freedom` may be below 1, the data's covariance would be used, or for a reason given in
+            `FrequencyErrors.bind`.
         """
         freedom, parameter = value_and_parameter(self.freedom)
         least = freedom if parameter is None else parameter.lower

@@ -34,6 +34,11 @@ class ModalDamping:
     ratios : float, Parameter, or sequence of float or Parameter
         Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last ratio
         applies to all higher modes too. Only parts of the structure with drives and responses are counted.
+
+    Raises
+    ------
+    ValueError
+        If a known ratio is negative or not finite.
     """
 
     ratios: NotNegative | Parameter | Sequence[NotNegative | Parameter]
@@ -48,6 +53,11 @@ class RayleighDamping:
     ----------
     alpha : float or Parameter, 1/s
     beta : float or Parameter, s
+
+    Raises
+    ------
+    ValueError
+        If a known coefficient is negative or not finite.
     """
 
     alpha: NotNegative | Parameter = 0.0
@@ -66,6 +76,11 @@ class StructuralDamping:
     of : mapping of str to float or Parameter
         Loss factor of the stiffness that a model parameter scales, keyed by parameter name. It couples the modes
         of the undamped structure.
+
+    Raises
+    ------
+    ValueError
+        If a known loss factor is negative or not finite.
     """
 
     loss: NotNegative | Parameter = 0.0
@@ -84,6 +99,11 @@ class Dashpot:
     coefficient : float or Parameter, N·s/m (N·m·s/rad)
     to : tuple of (place, direction), optional
         The other end; the ground by default.
+
+    Raises
+    ------
+    ValueError
+        If a known coefficient is negative or not finite.
     """
 
     at: tuple[int | str, str]
@@ -105,7 +125,7 @@ class DampingMatrix:
     Raises
     ------
     ValueError
-        If the matrix is not real, square, symmetric and finite.
+        If the matrix is not real, square, symmetric and finite, or a known coefficient is negative or not finite.
     """
 
     matrix: Any

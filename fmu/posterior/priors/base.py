@@ -126,6 +126,11 @@ class Normal(Prior):
     mean : float
         Mean in the parameter's unit. Defaults to 0, as in the paper. It must be given by keyword, so that it is
         not confused with `sd`.
+
+    Raises
+    ------
+    ValueError
+        If `sd` is not positive and finite, or `mean` is not finite.
     """
 
     sd: Positive
@@ -134,7 +139,13 @@ class Normal(Prior):
     @classmethod
     @check_arguments
     def from_alpha(cls, alpha: Positive, mean: float = 0.0) -> Normal:
-        """Return the prior with the paper's coefficient α = 1/sd²."""
+        """Return the prior with the paper's coefficient α = 1/sd².
+
+        Raises
+        ------
+        ValueError
+            If `alpha` is not positive and finite, or `mean` is not finite.
+        """
         return cls(sd=float(alpha) ** -0.5, mean=mean)
 
     @property

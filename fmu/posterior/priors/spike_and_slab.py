@@ -38,7 +38,8 @@ class SpikeAndSlab(InvertedPrior):
     Raises
     ------
     ValueError
-        If the share is not between 0 and 1, or the spike is not narrower than the slab.
+        If the share is not between 0 and 1, a standard deviation is not positive and finite, the mean is not
+        finite, or the spike is not narrower than the slab.
     """
 
     share: float = 0.1
