@@ -218,7 +218,7 @@ def drift(
     lower, upper : ndarray, shape (ndim,)
         Bounds; infinite where there is none.
     max_bounces : ndarray of int, shape (n,)
-        Largest number of reflections of each point. A point that needs more stops at a bound.
+        Largest number of reflections of each point. A point that needs more does not arrive.
 
     References
     ----------

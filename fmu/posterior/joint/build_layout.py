@@ -29,7 +29,8 @@ def build_layout(
 ) -> Layout:
     """Return the parameter layout for several tests; `fmu.JointProblem` describes and checks the arguments.
 
-    `varies` has an entry for every structural parameter. `eta` is its argument `correlation`.
+    `varies` has an entry for every structural parameter, and `eta` is the argument `correlation`. Raise ValueError
+    if a parameter cannot vary as requested.
     """
     theta, values_of = Theta(tests, reference), []
     trends = Trends(structural, slopes, theta)

@@ -143,7 +143,8 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
 
     Frequencies and shapes are means over the tests, and standard deviations the smallest over the tests. There are
     no shapes unless every mode has one, and no standard deviations unless every mode has one. Raise TestsError if
-    the tests contradict each other on a mode's number, or if a mode lacks a counterpart that other modes have.
+    the tests contradict each other on a mode's number or counterpart, or if a mode lacks a counterpart that other
+    modes have.
     """
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]

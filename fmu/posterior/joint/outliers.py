@@ -223,8 +223,8 @@ class ContaminatedScores:
     def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:
         """Return a copy of theta with the outlier share ε drawn given the score scales (n, n_tests, p).
 
-        Its conditional distribution is beta: the number of outliers is added to a, and of regular tests to b. If
-        the share is known, theta itself is returned.
+        Its conditional distribution is beta: the number of outliers is added to a, and the number of regular tests
+        to b. Tests without scores do not count. If the share is known, theta itself is returned.
         """
         prior = self.of.prior
         if self.share is None or prior is None:

@@ -34,8 +34,9 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
     where the populations are far too wide or too narrow. At the typical point, the populations' means, standard
     deviations and correlations approximately maximise the posterior after each test's own values are integrated
     out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39,
-    1–38). All other parameters have their most probable values given these. A model discrepancy
-    is left out, and its standard deviations keep their starting values.
+    1–38). All other parameters have their most probable values given these, but correlation times and the share of
+    outliers keep their starting values. A model discrepancy is left out, and its standard deviations keep their
+    starting values, too.
 
     Parameters
     ----------
@@ -56,8 +57,8 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
 def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
     """Return −∇² log P at a typical point u (ndim,), shape (ndim, ndim), in scaled coordinates.
 
-    It is the Gauss–Newton Hessian. Rows and columns for the populations' means, standard deviations and
-    correlations are finite differences of the gradient.
+    It is the Gauss–Newton Hessian, but rows and columns for the parameters of the populations and of the score
+    density (`Layout.scales`) are finite differences of the gradient.
     """
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]

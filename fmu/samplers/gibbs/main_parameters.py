@@ -42,7 +42,7 @@ class _Target(ExactGradient):
     ----------
     marginal : MarginalOfMain
     theta : ndarray, shape (chains, ndim)
-        Points whose error standard deviations are used.
+        Points that supply the error standard deviations, and the main parameters that do not move.
     scales : ndarray, shape (chains, n_tests, p)
         Prior standard deviations of the scores.
 

@@ -108,7 +108,10 @@ class Record:
             self._stats = {name: self._longer(x) for name, x in self._stats.items()}
 
     def write(self, step: int, first_chain: int, steps: Steps) -> None:
-        """Write `steps` of consecutive chains, starting at chain `first_chain` and step index `step`."""
+        """Write `steps` of consecutive chains, starting at chain `first_chain` and step index `step`.
+
+        Room for these steps must have been reserved.
+        """
         chains = slice(first_chain, first_chain + len(steps.position))
         rows = slice(step, step + len(steps))
         self._position[chains, rows] = steps.position

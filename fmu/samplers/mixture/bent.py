@@ -126,7 +126,10 @@ def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, flo
 def _run_sweeps(
     x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians
 ) -> tuple[BentGaussians, float]:
-    """Run up to `_SWEEPS` EM sweeps; return the best mixture and its weighted mean log-likelihood per point."""
+    """Run up to `_SWEEPS` EM sweeps; return the best mixture and its weighted mean log-likelihood per point.
+
+    `size` is the effective number of points.
+    """
     best, highest = parts, -np.inf
     for sweep in range(_SWEEPS + 1):
         r, total = parts.responsibilities(x)
@@ -143,9 +146,9 @@ def _run_sweeps(
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
     """Fit Gaussians to points with responsibilities r (k, n); return None if all of them have too few points.
 
-    A Gaussian with too few points is dropped. Each Gaussian is widened to allow for its own uncertainty: with the
-    mean and covariance of n points, a new point's expected squared distance is larger than a fitted point's by the
-    factor 1 + (ndim + 2)/n.
+    A Gaussian with too few points is dropped. `size` is the effective number of all points. Each Gaussian is
+    widened to allow for its own uncertainty: with the mean and covariance of n points, a new point's expected
+    squared distance is larger than a fitted point's by the factor 1 + (ndim + 2)/n.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

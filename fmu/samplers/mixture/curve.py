@@ -144,7 +144,7 @@ def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArra
     """Thin weighted points to at most `most` by systematic resampling; return the points and their new weights.
 
     The points u have shape (n, ndim). A point drawn several times is returned once, with a proportionally larger
-    weight. All points are returned unchanged if there are no more than `most`.
+    weight. All points are returned if there are no more than `most`. The new weights sum to 1.
     """
     weight = weight / weight.sum()
     if len(u) <= most:

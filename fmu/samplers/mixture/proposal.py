@@ -248,8 +248,8 @@ def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> 
     """Fit a mixture to a log-density, or return `start` if the fit is not known to be better.
 
     A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
-    few, a fit to either half must therefore suit the other half better than `start` does. If `is_known`, and
-    `start` fits fairly, it is kept until there are `_SURE` effective points per coefficient of all components.
+    few, a fit to either half must therefore suit the other half better than `start` does. If `is_known`, a fair
+    `start` is kept until there are `_SURE` effective points per coefficient of all components.
     """
     n = n_coefficients(points.position.shape[1])
     is_enough = points.effective_size >= _SURE * n * len(start.quadratics)

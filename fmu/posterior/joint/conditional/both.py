@@ -223,7 +223,10 @@ def _with_errors(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
 
 
 def _slopes_by_errors(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return the derivatives of ∇log P with respect to model errors, (ndim, n_errors), at theta (1, ndim)."""
+    """Return the derivatives of ∇log P with respect to model errors, (ndim, n_errors), at theta (1, ndim).
+
+    They are central differences with steps of 1.
+    """
     n = _given_errors(plain).n_errors
     steps = np.eye(plain.ndim)[-n:]
     slopes = plain.log_prob_and_grad(np.concatenate([theta + steps, theta - steps]))[1]

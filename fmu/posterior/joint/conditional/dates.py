@@ -128,7 +128,10 @@ class DateOfEvent:
         return np.where(inside[:, None], found, theta), ratio
 
     def likeliest(self, given: ScoresGivenMain, theta: FloatArray) -> FloatArray:
-        """Return theta (1, ndim) with the most probable date and losses, the losses clipped to their bounds."""
+        """Return theta (1, ndim) with the most probable losses, clipped to their bounds, and their date.
+
+        The date is the middle of the interval with the largest density.
+        """
         known, found = self._given_date(given, theta, REGULAR), theta.copy()
         at = int(np.argmax(known.weight[0] - np.log(self._widths)))
         found[0, self.date] = self._middles[at]

@@ -117,7 +117,7 @@ class MarginalOfMain:
         ----------
         w : ndarray, shape (n, d)
         theta : ndarray, shape (n, ndim)
-            Supplies the inferred error sds.
+            Supplies the inferred error sds, and the main parameters that w does not contain.
         scales : ndarray, shape (n, n_tests, p), optional
             Prior standard deviations of the scores (`Linear`).
         """

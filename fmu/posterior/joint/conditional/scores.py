@@ -295,7 +295,7 @@ class ScoresGivenMain:
         )
 
     def _precision_of_prior(self, of: FloatArray, scales: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """Return `Linear.of_prior`, of the given shape, at the parameters `of` the layout, (n, n_parameters)."""
+        """Return `Linear.of_prior`, which has the given `shape`; `of` is theta without the error sds."""
         found = np.broadcast_to(np.eye(shape[-1]), shape)
         if self.layout.correlation is not None:
             found = found + self.layout.correlation.precision(of)

@@ -135,7 +135,7 @@ class Lost(Multiplied):
         return self.of.identity(test), int(self.columns[test]), bool(self.is_lost[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
+        """Return limits that the values exceed rarely or never, (n_tests,) each, for given limits of theta."""
         kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.columns], upper[self.columns]]), 1.0)
         corners = np.stack(self.of.box(lower, upper))[:, None] * kept
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))

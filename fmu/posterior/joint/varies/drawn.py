@@ -106,7 +106,10 @@ class Drawn(InTests):
         return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
-        """Add the negative second derivatives between adjacent scores in time, scaled, to `curvature` in place."""
+        """Add the negative second derivatives between adjacent scores in time, scaled, to `curvature` in place.
+
+        Nothing is added if the scores are not correlated in time.
+        """
         if self.in_time is None:
             return
         slopes, order = np.sqrt(self.curvature(theta)), self.in_time.order

@@ -49,7 +49,7 @@ def truncated_normal_values(
 def _find_near(
     z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> BoolArray | None:
-    """Return a mask of the values that the bounds influence, or None if there are no such values."""
+    """Return a mask of the values that the bounds may influence, or None if there are no such values."""
     if np.isneginf(lower) and np.isposinf(upper):
         return None
     near = ~are_bounds_distant(z, mean, sd, lower, upper)

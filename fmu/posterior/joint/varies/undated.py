@@ -200,7 +200,7 @@ class LostFrom(Multiplied):
         return self.of.identity(test), float(self.times[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's values, (n_tests,) each, for given limits of theta."""
+        """Return limits that the values exceed rarely or never, (n_tests,) each, for given limits of theta."""
         ends = np.stack([lower, upper])[:, [self.date]]
         dates = np.zeros((2, len(lower)))
         dates[:, [self.date]] = ends

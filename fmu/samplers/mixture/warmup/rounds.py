@@ -115,8 +115,9 @@ def learn_in_rounds(
 ) -> tuple[CurvedMixture | None, float, int]:
     """Fit a curved mixture in rounds; return the best one, its efficiency, and the number of evaluations.
 
-    The efficiency is the effective sample size per candidate. The mixture is None, with efficiency 0, if no round
-    was drawn, because `most` is below `_FEWEST` or the points `u` do not give a first mixture.
+    The efficiency is the effective sample size per candidate. The rounds end when two in a row reach `ENOUGH`,
+    when `most` leaves fewer than `_FEWEST` candidates, or when a fit fails. The mixture is None, with efficiency
+    0, if no round was drawn.
 
     Parameters
     ----------
