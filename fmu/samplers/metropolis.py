@@ -130,7 +130,7 @@ class LogNormalWalk:
         return origin + (position - origin) * np.exp(scale * rng.standard_normal(position.shape))
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return Σ log((candidate − origin)/(position − origin)), shape (chains,)."""
+        """Return Σ log((candidate − origin)/(position − origin)), (chains,); −∞ for a candidate at the origin."""
         origin = np.asarray(self.origin)
         with np.errstate(divide="ignore"):  # if a factor underflows, the candidate at the origin is rejected
             return np.sum(np.log(candidate - origin) - np.log(position - origin), axis=-1)

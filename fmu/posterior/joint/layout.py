@@ -167,7 +167,7 @@ class Layout:
 
     @cached_property
     def drawn(self) -> list[Drawn]:
-        """Structural parameters that scatter over the tests, before any trends are applied."""
+        """Structural parameters that scatter over the tests, without trends, losses and group effects."""
         return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
 
     @property

@@ -52,7 +52,7 @@ class Quadratic:
         return self.log_prob + d @ self.gradient - 0.5 * np.einsum("ni,ij,nj->n", d, self.hessian, d)
 
     def proposal(self, lower: FloatArray, upper: FloatArray, temperature: float = 1.0) -> SequentialNormal:
-        """Return the Gaussian ∝ exp(m/temperature), truncated at the bounds."""
+        """Return a distribution close to the Gaussian ∝ exp(m/temperature), truncated at the bounds."""
         precision = definite(self.hessian)
         centre = self.position + np.linalg.solve(precision, self.gradient)
         return SequentialNormal(centre, precision / temperature, lower, upper)

@@ -48,7 +48,10 @@ class FittedNormal(NamedTuple):
 
 
 def reflect(w: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Reflect points (n, d) into the box between the bounds; return them and their derivatives, which are ±1."""
+    """Reflect points (n, d) into the box between the bounds; return them and their derivatives, which are ±1.
+
+    A point that is still outside after one reflection is clipped to the bounds.
+    """
     sign = np.where((w < lower) | (w > upper), -1.0, 1.0)
     w = np.where(w < lower, 2.0 * lower - w, np.where(w > upper, 2.0 * upper - w, w))
     return np.clip(w, lower, upper), sign

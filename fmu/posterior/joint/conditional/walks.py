@@ -107,7 +107,7 @@ class WalksGivenValues:
         return _replace(theta, self._widths, theta[:, self._widths] * np.exp(step)), np.einsum("ni->n", step)
 
     def _move_correlations(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return theta (n, ndim) with proposed partial correlations, and the log-determinant (n,) of the change."""
+        """Return theta (n, ndim) with proposed partial correlations, and the move's log-determinant, (n,)."""
         now = theta[:, self._partial]
         new = np.tanh(np.arctanh(now) + self._of_partial * rng.standard_normal(now.shape))
         with np.errstate(divide="ignore"):

@@ -74,7 +74,10 @@ class Law:
         raise NotImplementedError
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return error messages if the law contradicts the range of the covariate `name` in the tests."""
+        """Return error messages if the law contradicts the range of the covariate `name` in the tests.
+
+        The covariate's known values and medians range from `low` to `high`.
+        """
         return []
 
     def as_dict(self) -> dict[str, Plain]:
@@ -181,7 +184,7 @@ class PiecewiseLinear(Law):
         return () if isinstance(self.kinks, Prior) else tuple(map(float, self.kinks))
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return error messages about kinks outside the range of the covariate in the tests.
+        """Return error messages about kinks outside the range of the covariate in the tests, `low` to `high`.
 
         The prior of an inferred kink must have some of its probability in this range.
         """
