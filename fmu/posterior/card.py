@@ -23,7 +23,7 @@ def problem_card(problem: Posterior) -> str:
     if structure is not None and is_drawable(structure, _MOST_DRAWN):
         drawing = sketch(structure, problem.data.sensors)
         parts.append(f"<div>{draw_svg(drawing)}</div>")
-        colours[: structure.n_parameters] = parameter_colours(drawing)  # errors follow
+        colours[: structure.n_parameters] = parameter_colours(drawing)  # inferred error sds have no colour
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
 

@@ -36,7 +36,7 @@ class ScatteredFrequencies:
         self._relative, self._size_squared = scatters[0].relative[None], scatters[0].size[None] ** 2
         self._fixed = sum(one.fixed[None] ** 2 for one in scatters)
         inferred = {d for one in scatters for d in one.number.tolist() if d >= 0}
-        # by index of the noise, how many of the scatters of each parameter have this τ
+        # keyed by a τ's index in the noise: how many scatters of each parameter have this τ
         self._counts = {d: sum(1.0 * (one.number[None] == d) for one in scatters) for d in sorted(inferred)}
         self._known = term.spread.fixed[None] ** 2 if term.is_known else None
 

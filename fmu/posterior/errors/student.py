@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge
-from numpy.typing import ArrayLike as ArrayLike  # the inherited annotations are read here
+from numpy.typing import ArrayLike as ArrayLike  # check_arguments reads the inherited annotations in this module
 from scipy.special import digamma, gammaln, ndtri, polygamma, stdtr
 
 from fmu.arguments import ArgumentError, check_arguments, require, takes_old_names

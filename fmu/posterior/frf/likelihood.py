@@ -16,7 +16,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import Chain, FloatArray, IntArray, Plain
 
 _WIDER = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Relative errors of the FRFs in the successive searches for maxima, before the search with the errors given."""
+"""Relative errors of the FRFs in the successive searches for maxima, before the search with the given errors."""
 _WORTHWHILE = 0.5
 """Multiple of the relative noise of the data below which a wider error does not help."""
 FRFS = "FRFs"
@@ -54,7 +54,7 @@ class FRFsOfTest(NamedTuple):
 
     def own(self, theta: FloatArray) -> FloatArray:
         """Select the parameters of `term`, (n, n_own), from the likelihood's theta (n, ndim)."""
-        if len(self.columns) == theta.shape[1]:  # of a single test, in their order
+        if len(self.columns) == theta.shape[1]:  # a single test with its parameters in theta's order
             return theta
         return theta.take(self.columns, axis=1)
 

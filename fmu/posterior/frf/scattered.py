@@ -251,7 +251,7 @@ class ScatteredTerm(FRFTerm):
         BJ = at.B[0] @ J
         found = np.sum(np.swapaxes(J, 1, 2) @ J, axis=0)
         found -= np.sum(np.swapaxes(BJ, 1, 2) @ np.linalg.solve(at.precision[0], BJ), axis=0)
-        D = np.zeros((scatter.m, n))  # of the relative errors of the frequencies
+        D = np.zeros((scatter.m, n))  # derivatives of the relative frequency errors
         D[:, :p] = -0.5 * modes.by_lam[0, mine] / modes.lam[0, mine, None]
         D[:, self._f] = np.diag(1.0 / theta[0, self._f])
         found += D.T @ scatter.precision @ D

@@ -53,7 +53,7 @@ class FRFTerm:
         The result of `as_dict`, and the prefix of FRF names (the test's name and a colon, or empty).
     """
 
-    has_discrepancy = False  # errors of the modes
+    has_discrepancy = False  # in the modes
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class FRFTerm:
             self._log_variance = np.log(self._variance)
         self._log_measured = np.log(self._measured)
         self.freedom = data.freedom if data.freedom < GAUSSIAN else np.inf
-        if np.isfinite(self.freedom):  # of Student's density
+        if np.isfinite(self.freedom):  # the normaliser of Student's t density
             self._constant += int(np.sum(self._used)) * float(np.log1p(-2.0 / self.freedom))
         self.n_data = 2 * int(np.sum(self._used))
         self._first, self._wider = model.full.n_parameters, 0.0

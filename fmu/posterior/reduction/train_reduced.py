@@ -257,9 +257,7 @@ def _singular(problem: Posterior, error: SingularAnchorError) -> str:
 def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
     """Return the measured modes' largest relative frequency error at fresh points in the box."""
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
-    if (
-        model.truth.solver != LAPACK
-    ):  # where solves are expensive, only about this number of the points inside, on faces and at corners
+    if model.truth.solver != LAPACK:  # where solves are expensive, use only about _CHECKED points in total
         theta = theta[:: -(-len(theta) // _CHECKED)]
     return _error_at(model, theta, tolerance)
 
