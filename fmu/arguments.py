@@ -191,7 +191,7 @@ def _require(name: str, value: object, rule: Rule) -> None:
 
 
 def as_list[One](given: One | Sequence[One]) -> list[One]:
-    """Return one value, or a sequence of values, as a list. A string counts as one value."""
+    """Return one value, or a sequence of values, as a list. A string or an array counts as one value."""
     if isinstance(given, Sequence) and not isinstance(given, str):
         return list(given)
     return [given]
@@ -233,8 +233,9 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
     """Return True if a value follows a rule, the error of an entry, or False if the value as a whole breaks it.
 
-    No message is made for a whole value: it takes long for an array, and is not needed if the value breaks one
-    option of a union but follows another.
+    A value with an `OwnRule` counts as valid, because the function checks it itself. No message is made for a
+    whole value: it takes long for an array, and is not needed if the value breaks one option of a union but
+    follows another.
     """
     if rule.pick(OwnRule):
         return True
@@ -256,7 +257,10 @@ def _with_text_as_path(rule: Rule) -> Rule:
 
 
 def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]:
-    """Yield the error of each entry of a sequence or mapping, or None for an entry that follows its rule."""
+    """Yield an error for each wrong entry or key of a sequence or mapping, and for a tuple of the wrong length.
+
+    Yield None for an entry that follows its rule.
+    """
     origin, of = get_origin(rule.form), rule.parts
     if origin is tuple and of and of[-1].form is not Ellipsis:
         if len(value) != len(of):

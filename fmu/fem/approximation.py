@@ -65,7 +65,10 @@ class Approximation(ModalModel):
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return predicted frequencies and sensor shapes, with variances if the cheap model is uncertain."""
+        """Return predicted frequencies and sensor shapes, with derivatives if `gradient`.
+
+        Variances are included if the cheap model is uncertain.
+        """
         return self.cheap.observed(theta, gradient)
 
     def configuration(self) -> dict[str, object]:

@@ -33,7 +33,7 @@ def bar_name(phase: str, info: Info) -> str:
 def in_words(info: Info, brief: bool = False) -> str:
     """Return the text beside a progress bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
 
-    Rates come last. If `brief` is True, a rate has no name: ``5.3k/s``.
+    Items in `HIDDEN` are left out. Rates come last. If `brief` is True, a rate has no name: ``5.3k/s``.
     """
     names = sorted((name for name in info if name not in HIDDEN), key=lambda name: name.endswith(_RATE))
     return " ".join(_item(name, info[name], brief) for name in names)

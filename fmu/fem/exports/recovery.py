@@ -213,7 +213,10 @@ class _Fit:
         return np.asarray(np.abs(entry - self.of_exports @ coefficients))
 
     def reproduces(self, entry: FloatArray, which: BoolArray | slice = slice(None)) -> bool:
-        """Return True if the exports in `which` (by default all) are reproduced within rounding."""
+        """Return True if the exports in `which` (by default all) are reproduced within rounding.
+
+        The smallest tolerance is `_FITTED` for the exports used, and `REPRODUCED` for those reserved for checking.
+        """
         allowed = np.where(self.points.used, _FITTED, REPRODUCED)
         allowed = np.maximum(allowed, SAFETY * self.points.noise * (1.0 + self.amplification(self.of_exports)))
         return bool(np.all((self.compute_errors(entry).max(axis=1, initial=0.0) <= allowed)[which]))

@@ -60,7 +60,8 @@ def changed_model(
     Raises
     ------
     ValueError
-        If a place has no free degree of freedom, or no parameter remains.
+        If a mass is at a place that cannot translate, a spring is in a direction that is not free, or no parameter
+        remains.
     """
     K_terms, M_terms = list(model.K_terms), list(model.M_terms)
     constant = (0.0,) * model.n_parameters

@@ -1,4 +1,7 @@
-"""Decoupled blocks that are solved in full, one theta at a time, with derivatives of their modes."""
+"""Decoupled blocks that are solved in full, with derivatives of their modes.
+
+Small blocks are solved in batches, others one theta at a time.
+"""
 
 from __future__ import annotations
 

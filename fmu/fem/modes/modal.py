@@ -170,7 +170,7 @@ def join_shapes(
     """Return the mass-normalised shapes of modes at one theta (1, n_parameters), shape (n_dof, m).
 
     All blocks must be full. A shape is zero outside its own block. Its sign is set by `fix_sign`. `counts` is the
-    number of modes computed in each block to obtain `modes`; if it is given, the blocks are not solved again.
+    number of modes computed in each block to obtain `modes`; if it is given, large blocks are not solved again.
     """
     block, rank = modes.block[0], modes.rank[0]
     shapes = np.zeros((sum(len(of.dofs) for of in blocks), len(block)))

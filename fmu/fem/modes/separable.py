@@ -1,7 +1,7 @@
 """Structures of the form K(theta) = Σ c_k(theta) K_k, M(theta) = Σ c_m(theta) M_m.
 
-Every structure given by beam elements or by exported matrices has this form. The coefficients are constants or
-monomials of the parameters, so their derivatives are exact.
+Frames of beam elements have this form, and so do structures recovered from exported matrices. The coefficients are
+constants or monomials of the parameters, so their derivatives are exact.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class SeparableModel:
         Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. By default each degree
         of freedom is the translation x of its own node.
     geometry : Geometry, optional
-        Geometry for plots of the structure and its mode shapes.
+        Coordinates and elements, for example for plots of the structure and its mode shapes.
     arms : mapping of hashable to RigidArm, optional
         Points rigidly connected to nodes, by name, at which sensors may be placed.
     ties : mapping of tuple to tuple, optional
@@ -162,7 +162,8 @@ class SeparableModel:
     Raises
     ------
     ValueError
-        If there is no stiffness or mass term, or a term's shape or symmetry is wrong.
+        If there is no stiffness or mass term; a term is not symmetric or not finite, or has the wrong shape or
+        number of powers; or `dofs` has the wrong length.
     """
 
     def __init__(

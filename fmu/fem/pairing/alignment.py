@@ -131,7 +131,10 @@ def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, lis
 
 
 def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> Alignment:
-    """Return up to `count` of the best-fitting alignments, without duplicates."""
+    """Return up to `count` of the best-fitting alignments, without duplicates.
+
+    Duplicates match the points to the same nodes with nearly equal rotations.
+    """
     places = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1]
     which = np.concatenate([places, np.round(4.0 * R.reshape(-1, 9))], axis=1)
     once = np.unique(which, axis=0, return_index=True)[1]

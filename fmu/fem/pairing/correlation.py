@@ -197,8 +197,8 @@ class Correlation:
     def suspects(self) -> IntArray:
         """Indices of suspect sensors, worst first, shape (n_suspects,).
 
-        A sensor is suspect if its ECoMAC stands out, or if it appears to be swapped with another. The array is
-        empty if there are too few sensors or modes to tell.
+        A sensor is suspect if its ECoMAC stands out (`SUSPECT`, `TIMES`), or if it appears to be swapped with
+        another. The array is empty if there are too few sensors or modes to tell.
         """
         if not self._is_enough:
             return np.zeros(0, dtype=np.int64)

@@ -65,7 +65,7 @@ class ModalModel:
     gives_shapes : bool
         Whether `observed` gives shapes at the sensors.
     gives_shape_curvature : bool
-        Whether `sensitivities` gives shapes and sums of their second derivatives.
+        Whether `sensitivities` gives shapes and weighted sums of their second derivatives.
     is_soft : bool
         Whether every measured mode is paired with all candidates, with weights
         (`fmu.fem.pairing.rules.SoftPairing`).
@@ -78,7 +78,7 @@ class ModalModel:
         Cost of `frequencies_and_gradient`, and of `observed` with derivatives, at one theta, in solves: 1 if
         derivatives are exact.
     full_solves : int
-        Number of solves of the true model, if a cheap model replaces it.
+        Number of solves of the true model so far, if a reduced basis replaces it; otherwise 0.
     n_tests : int
         Number of tests for which the model is solved at one theta.
     """
@@ -141,7 +141,10 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the seconds that a user's function took at theta (n_parameters,), or None if there is none."""
+        """Return the time in s that a user's function takes at theta (n_parameters,), or None if there is none.
+
+        The function is called there unless its solve is known.
+        """
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:

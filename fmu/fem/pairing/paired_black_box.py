@@ -133,7 +133,7 @@ class PairedBlackBox(ModalModel):
         Raises
         ------
         ValueError
-            If the function gives no shapes.
+            If no shapes were measured, or the function gives no shapes at the measured sensors.
         """
         if self._n_sensors is None:
             raise ValueError(f"{self.black_box.place}: must return shapes, as shapes have errors (it gives none)")

@@ -114,6 +114,8 @@ def predict_modes(
 ) -> ModalPrediction:
     """Return the paired modes at the sensors from a full or reduced model, with derivatives if `gradient`.
 
+    All are NaN where a solve failed.
+
     Parameters
     ----------
     blocks : sequence of Block

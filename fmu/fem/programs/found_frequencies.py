@@ -64,8 +64,8 @@ class FoundFrequencies:
     def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
         """Return the frequencies in a file, in Hz, shape (n,).
 
-        Raise ValueError if the file cannot be read, the pattern has no match, a match is not a number, or the
-        search takes longer than `seconds`.
+        Raise ValueError if the file cannot be read or is too large, the pattern has no match, a match is not a
+        number, or the search fails or takes longer than `seconds`.
         """
         wrong = why_no_file(path) or too_large(path, LARGEST_RESULT)
         if wrong:

@@ -190,7 +190,10 @@ class Solves:
             return self._call_at(theta[None], keep=False)[0]
 
     def _make_all(self, theta: FloatArray) -> Iterator[Solve]:
-        """Yield the solves at points (n, n_parameters), made in one batch, by an engine, or one by one."""
+        """Yield the solves at points (n, n_parameters), made in one batch, by an engine, or one by one.
+
+        If a batch fails, its points are solved one by one.
+        """
         if self.batched and len(theta) > 1:
             together = self._look_up_or_call(theta)
             if together:
@@ -205,7 +208,7 @@ class Solves:
     def _spread(self, theta: FloatArray, engine: Engine) -> list[Solve]:
         """Return the solves at points (n, n_parameters), made by workers.
 
-        A point that crashes its worker is a failure.
+        A point that crashes its worker three times counts as failed.
         """
         found: dict[int, Solve] = {}
         while len(found) < len(theta):
@@ -251,7 +254,10 @@ class Solves:
 
     @contextmanager
     def _lock(self, theta: FloatArray) -> Iterator[None]:
-        """Within a ``with`` block, prevent other processes from solving the same points (n, n_parameters)."""
+        """Within a ``with`` block, prevent other processes from solving the same points (n, n_parameters).
+
+        This requires a store. If the lock cannot be created, a warning is issued and the store is no longer used.
+        """
         with ExitStack() as stack:
             if self.store is not None and self._keeps:
                 try:

@@ -166,7 +166,11 @@ class ReducedStructure(Approximation):
             return JoinedSensitivities(len(theta), [*zip(rows, parts, strict=True), (failed, full)])
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return all modes that could be paired with a measured mode; see `PairedStructure.candidates`."""
+        """Return the eigenvalues of all modes that may be paired; see `PairedStructure.candidates`.
+
+        Outside the box they come from the full matrices. Inside it, modes for which the basis was not trained are
+        NaN.
+        """
         count_solves(len(theta))
         counts, within = self._truth.candidate_counts(), self.within(theta)
         found = np.empty((len(theta), sum(counts.values())))
@@ -363,7 +367,7 @@ def train_at(
 
 
 def restore(truth: PairedStructure, state: dict[str, FloatArray]) -> ReducedStructure | PairedStructure:
-    """Rebuild the model that `train` returned earlier for the same structure and pairing."""
+    """Rebuild the model that `train` or `train_at` returned earlier for the same structure and pairing."""
     if "full" in state:
         return truth.kept_full(int(state["full"]))
     with single_thread():

@@ -66,6 +66,7 @@ class Training:
     Parameters
     ----------
     full : tuple of FullBlock
+        Raise TypeError if one is reduced.
     rule : IndexPairing or ShapePairing
         Pairing rule, which determines how many modes each block needs.
     lower, upper : ndarray, shape (n_parameters,)

@@ -230,6 +230,7 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
 
     A few points can determine common length scales, but not separate ones for every quantity. Separate processes
     are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
+    Without `search`, the choice and the hyper-parameters of `before` are kept, if it is given.
     """
     if not search and before is not None:
         if len(before) == 1:

@@ -154,10 +154,10 @@ class Pardiso:
 
 
 def _folder_for(n_bytes: int) -> str | None:
-    """Create and return a folder on a disk with at least `n_bytes` free, or return None if no disk has room.
+    """Create and return a folder on a disk with at least `n_bytes` free, or return None if the disk has no room.
 
     It is inside the folder named by the environment variable ``MKL_PARDISO_OOC_PATH`` or, by default, inside the
-    folder for temporary files.
+    folder for temporary files. Raise OSError if it cannot be created.
     """
     folder = tempfile.mkdtemp(prefix="fmu-factors-", dir=_USERS_FOLDER)
     if shutil.disk_usage(folder).free > n_bytes:
