@@ -155,7 +155,10 @@ class OldNameWarning(FutureWarning):
 
 
 def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> dict[str, Any]:
-    """Return arguments, or a table from a file, with old names replaced by present names; warn of each old one."""
+    """Return arguments, or a table from a file, with old names replaced by present names; warn of each old one.
+
+    An old name is left as it is if its present name is also given.
+    """
     old = [name for name in present if name in given and present[name] not in given]
     for name in old:
         text = f"{name} is now called {present[name]}: the old name still works; please replace it"

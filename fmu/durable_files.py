@@ -82,7 +82,7 @@ def payload_of(title: str, content: bytes) -> bytes:
 
 
 def sync_directory(directory: Path) -> None:
-    """Flush the entries of a directory to disk, on systems that support it."""
+    """Flush the entries of a directory to disk on POSIX systems; do nothing on others."""
     if os.name == "posix":
         handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         try:

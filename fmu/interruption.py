@@ -112,7 +112,10 @@ def is_asked() -> bool:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Delay a KeyboardInterrupt until the end of a block that must leave files and memory consistent."""
+    """Delay a KeyboardInterrupt until the end of a block that must leave files and memory consistent.
+
+    This works only inside a `stoppable` or `interruptible` block, in the main thread.
+    """
     stop = _current if threading.current_thread() is threading.main_thread() else None
     if stop is None:
         yield

@@ -31,7 +31,7 @@ class OwnRule:
 
 
 class Numbers:
-    """The type in rules for ArrayLike and arrays, which accepts any value that NumPy converts to numbers."""
+    """The type in rules for ArrayLike and arrays: values that NumPy converts to numbers, except text and bool."""
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class Approximation(ModalModel):
         return self._truth.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""
+        """Return the cheap model's frequencies in Hz, shape (n, n_modes), with NaN where it fails."""
         return self.cheap.frequencies(theta)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

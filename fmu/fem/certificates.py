@@ -46,7 +46,7 @@ class Certificate(ABC):
         return cls(**found)
 
     def attributes(self) -> dict[str, object]:
-        """Return the trace attributes that store the certificate."""
+        """Return the trace attributes that store the certificate, without fields that are None."""
         return {self._key(name): value for name, value in asdict(self).items() if value is not None}
 
     @classmethod

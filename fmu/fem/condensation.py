@@ -125,7 +125,10 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
 
 
 def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, ...]:
-    """Return one index array per substructure: the interior degrees of freedom that the boundary cuts off."""
+    """Return the interior degrees of freedom of each part into which the boundary divides the structure.
+
+    There is one index array per substructure.
+    """
     interior = np.setdiff1d(np.arange(K.shape[0]), np.asarray(boundary, dtype=np.int64))
     pattern = sp.csr_array(abs(K) + abs(M))[interior][:, interior]
     count, label = connected_components(pattern, directed=False)

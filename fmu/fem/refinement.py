@@ -120,7 +120,10 @@ class RefinedFactor:
         return np.concatenate(found, axis=1).reshape(loads.shape) if found else np.zeros_like(loads)
 
     def _definite_factor(self, make: Callable[[sp.csr_array, bool], SingleFactor]) -> SingleFactor | None:
-        """Return factors for which conjugate gradients converge for a random b, or None if there are none."""
+        """Return factors for which conjugate gradients converge for a random b, or None if there are none.
+
+        If A itself has no such factors, a small share of its diagonal is added first.
+        """
         probe = np.random.default_rng(0).standard_normal((self._matrix.shape[0], 1))
         for share in _ADDED:
             factor = None  # before the next factors take memory

@@ -1,4 +1,4 @@
-"""Progress as log lines, for use without a terminal: one line at each stage, then one line every 30 s."""
+"""Progress as log lines, for use without a terminal: one line half a second into a stage, then one every 30 s."""
 
 from __future__ import annotations
 

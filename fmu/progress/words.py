@@ -40,7 +40,7 @@ def in_words(info: Info, brief: bool = False) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Format a time in seconds as ``0:04`` (4 s) or ``1:02:03``, or as ``-:--`` if it is not known."""
+    """Format a time in seconds, rounded up, as ``0:04`` or ``1:02:03``, or as ``-:--`` if it is not known."""
     if seconds is None or not math.isfinite(seconds):
         return "-:--"
     minutes, s = divmod(math.ceil(seconds), 60)

@@ -164,7 +164,8 @@ class _Points:
     def sets_of_powers(self, known: Sequence[Powers], group: Sequence[int]) -> Iterator[tuple[Powers, ...]]:
         """Yield sets of terms: the known terms plus new terms in a group of parameters.
 
-        Sets with fewer new terms come first and, among sets of equal size, simpler ones.
+        Sets with fewer new terms come first and, among sets of equal size, simpler ones. There are at most
+        `_MOST_TRIED` sets, at most `_FACTORS` parameters in a term, and no more terms than exports used.
         """
         choices = []
         for size in range(min(len(group), _FACTORS) + 1):

@@ -59,7 +59,7 @@ class Section:
         Raises
         ------
         ValueError
-            If a dimension is not positive, or is 1e6 m or more.
+            If a dimension is not between 0 and 1e6 m.
         """
         b, t = max(width, height), min(width, height)
         J = b * t**3 / 3 * (1 - 0.63 * t / b + 0.052 * (t / b) ** 5)
@@ -76,7 +76,7 @@ class Section:
         Raises
         ------
         ValueError
-            If a dimension is not positive, or the wall is thicker than half the diameter.
+            If a dimension is not between 0 and 1e6 m, or the wall is thicker than half the diameter.
         """
         if thickness > diameter / 2:
             raise ArgumentError("thickness", f"must not exceed half the diameter {typed(diameter)}", thickness)
@@ -96,7 +96,8 @@ class Section:
         Raises
         ------
         ValueError
-            If a dimension is not positive, the flanges leave no web, or the web is wider than the flanges.
+            If a dimension is not between 0 and 1e6 m, the flanges leave no web, or the web is wider than the
+            flanges.
         """
         if 2 * flange >= height:
             raise ArgumentError("flange", f"must be thinner than half the height {typed(height)}", flange)

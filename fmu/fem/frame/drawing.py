@@ -124,7 +124,8 @@ def draw_svg(
     """Return a plot of a sketch as SVG, with elements and springs in the colours of the parameters.
 
     Each element or spring has the colour of the first parameter that changes it. Squares are supports, discs are
-    masses, zigzags are springs (rings between coincident nodes) and arrows are sensors.
+    masses, zigzags are springs (rings between coincident nodes), thin lines are rigid arms, and arrows are sensors
+    (dots if they point at the reader). Sensors of rotations or at unknown places are not plotted.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def without_sensors(structure: Sketch) -> Sketch:
 
 
 def element_colours(changed: BoolArray) -> list[str]:
-    """Return the colour of each element: the colour of the first parameter that changes it."""
+    """Return each element's colour: the colour of the first parameter that changes it, or grey if none does."""
     first = [int(np.argmax(row)) if row.any() else None for row in changed]
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 

@@ -97,7 +97,10 @@ class ProportionalDamping:
     n_rigid: int = 0
 
     def _ratio_of(self, r: int) -> IntArray:
-        """Return, for each of the r modes, the index in `ratios` of its damping ratio, shape (r,)."""
+        """Return, for each of the r modes, the index in `ratios` of its damping ratio, shape (r,).
+
+        Rigid-body modes have the first ratio, which has no effect because their ω is 0.
+        """
         return np.clip(np.arange(r) - self.n_rigid, 0, len(self.ratios) - 1)
 
     def _zeta(self, values: FloatArray, r: int) -> FloatArray:

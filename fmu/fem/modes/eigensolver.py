@@ -334,9 +334,9 @@ def rank(matrix: Matrix) -> int:
     """Return the rank of a positive semidefinite matrix.
 
     The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
-    as in solids with reduced integration, and an iteration that searches for all of them would not end. With the
-    diagonal scaled to one, eigenvalues within ±`NEGATIVE` count as zero, because a matrix exported with few digits
-    has zero eigenvalues only to that accuracy.
+    as in solids with reduced integration, and an iteration that searches for all of them would not end. In that
+    case, with the diagonal scaled to one, eigenvalues within ±`NEGATIVE` count as zero, because a matrix exported
+    with few digits has zero eigenvalues only to that accuracy. In a small matrix the limit is `ZERO`.
 
     Raises
     ------

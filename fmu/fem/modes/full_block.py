@@ -348,7 +348,7 @@ def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> t
 def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[int, int]:
     """Return the bytes that a process needs to hold the terms, and to factorise a stiffness matrix too.
 
-    The factors themselves are not included.
+    Python and its libraries are included, the factors themselves are not.
     """
     stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in ((*K_terms, *M_terms), K_terms))
     return LIBRARIES + stored, LIBRARIES + stored + COPIES * stiffness
@@ -379,7 +379,7 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return the products ∂K/∂theta_j φ for shapes φ (size, m), as an array (m, size, n_parameters)."""
+    """Return ∂A/∂theta_j φ for shapes φ (size, m), where A is the sum of `terms`, (m, size, n_parameters)."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 

@@ -55,7 +55,7 @@ class Matching:
     distances : ndarray, shape (n_points,), m
         Distance of each point from its node, after the alignment.
     spacing : ndarray, shape (n_points,), m
-        Distance from each point's node to the next node of the mesh.
+        Distance from each point's node to the nearest other node of the mesh.
     rotation : ndarray, shape (3, 3)
         R in the alignment x → R x + t.
     shift : ndarray, shape (3,), m

@@ -255,7 +255,7 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""
+        """Return frequencies in Hz, (n, n_modes), with NaN where a solve failed or λ is clearly negative."""
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -311,7 +311,7 @@ class PairedStructure(ModalModel):
 
     @property
     def solver(self) -> str:
-        """Name of the solver that factorises the largest matrices."""
+        """Name of the solver for the largest block: LAPACK if its matrices are dense, otherwise a sparse one."""
         largest = max(block.size for block in self.blocks)
         return sparse_solver() if largest > DENSE_LIMIT else LAPACK
 

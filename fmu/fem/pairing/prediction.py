@@ -29,7 +29,8 @@ class ModalPrediction:
     ----------
     frequencies : ndarray, shape (n, n_modes), Hz; NaN where a solve failed
     shapes : ndarray, shape (n, n_sensors, n_modes)
-        Shapes at the sensors, mass-normalised, of either sign.
+        Shapes at the sensors, of either sign: mass-normalised for a structure given by matrices, of unit length
+        for a surrogate, and in the function's scale for a user's function.
     frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
     frequency_variance, shape_variance : ndarray, shaped like frequencies (Hz²) and shapes, or None

@@ -1,9 +1,9 @@
 """Rules that pair computed modes with measured modes.
 
-Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape (the paper). Pairing by shape is
-the one-to-one assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple,
-so the assignment by shape usually cannot change inside a decoupled block. If the assignment is verified to be
-constant, each mode has a fixed rank within its block, and only eigenvalues need to be computed.
+Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape, as in the paper. Pairing by shape
+is the one-to-one assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are
+simple, so the assignment by shape usually cannot change inside a decoupled block. If the assignment is verified to
+be constant, each mode has a fixed rank within its block, and only eigenvalues need to be computed.
 
 A mode's rank is its index (from 0) among the modes of its block.
 """

@@ -139,7 +139,10 @@ class CommandModel(BlackBoxModel):
         return has_place and sensor[1].removeprefix("-") in form.directions
 
     def at_sensors(self, sensors: Sequence[Dof]) -> CommandModel:
-        """Return a copy that gives shapes at these sensors, or the model itself if it has no reader for shapes."""
+        """Return a copy that gives shapes at these sensors.
+
+        Return the model itself if it already gives them, or has no reader for shapes.
+        """
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
         return self._copy_with(tuple(sensors))

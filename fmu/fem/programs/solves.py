@@ -244,7 +244,7 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up(self, theta: FloatArray) -> dict[int, Solve]:
-        """Return the stored solves at points (n, n_parameters), keyed by point index."""
+        """Return the stored solves at points (n, n_parameters) that are not outdated, keyed by point index."""
         if self.store is None or not self._keeps:
             return {}
         found = {i: solve for i, point in enumerate(theta) if (solve := self.store.find(point)) is not None}

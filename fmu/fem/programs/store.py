@@ -71,7 +71,7 @@ class Solve(NamedTuple):
 
 @check_arguments
 class SolveStore:
-    """Stored solves of one model; iterating yields every `Solve`, in no particular order.
+    """Stored solves of one model; iterating yields every undamaged `Solve`, in no particular order.
 
     Parameters
     ----------
@@ -96,7 +96,10 @@ class SolveStore:
         return None
 
     def keep(self, solve: Solve) -> None:
-        """Write a solve to disk. Raise OSError if the file cannot be written."""
+        """Write a solve to disk, and remove an earlier failure at its theta if it succeeded.
+
+        Raise OSError if the file cannot be written.
+        """
         values = solve._asdict()
         lists = {name: None if values[name] is None else values[name].tolist() for name in _ARRAYS}
         payload = json.dumps(values | lists).encode()

@@ -148,7 +148,7 @@ class Anchors:
             return False
 
     def matrix(self, a: int) -> Matrix:
-        """Return K + s M at anchor point `a`, dense for a block of at most `DENSE_LIMIT` rows, otherwise sparse."""
+        """Return K + s M at anchor point `a`, dense or sparse like the matrices of the block."""
         ((K, M),) = self.block._matrices(self.theta[a : a + 1])
         return K + self.shift * M if self.shift else K
 

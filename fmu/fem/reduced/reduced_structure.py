@@ -143,7 +143,7 @@ class ReducedStructure(Approximation):
         return self._answer(self.cheap.choose, self._truth.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""
+        """Return frequencies in Hz, (n, n_modes), with NaN where a solve failed or λ is clearly negative."""
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -124,7 +124,10 @@ class Space:
 
 
 def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
-    """Return the directions that X (n, q) adds to V (n, r): A-orthonormal columns, A-orthogonal to V."""
+    """Return the directions that X (n, q) adds to V (n, r): A-orthonormal columns, A-orthogonal to V.
+
+    V must be A-orthonormal. Directions that lie in its span to rounding are left out.
+    """
     X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
     for new in (_RANK, 0.5):  # twice against rounding
         X = X - V @ (V.T @ (A @ X))

@@ -120,7 +120,10 @@ class Process:
         return self._expect(k), self._variance(np.minimum(left, self.most) if limited else left)
 
     def predict_with_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the two arrays from `predict`, and their derivatives with respect to x, (n, q, d) each."""
+        """Return the two arrays from `predict`, and their derivatives with respect to x, (n, q, d) each.
+
+        Where a variance is capped, or zero because of rounding, its derivatives are zero.
+        """
         k, smooth = self._covariances(x)
         u = _product(k, self._root.T)
         w = _product(u, self._root)
