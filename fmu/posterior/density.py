@@ -182,7 +182,7 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return `log_prior` and its gradient, shaped like theta, which is NaN outside the bounds."""
+        """Return `log_prior` and its gradient, which has theta's shape and is NaN outside the bounds."""
         points, single = self._points(theta)
         value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
         inside = self._within(points).all(axis=1)

@@ -38,7 +38,10 @@ class _Pairs(NamedTuple):
 
     @property
     def responsibility(self) -> FloatArray:
-        """Each candidate's share in a measured mode's likelihood, (n, k, m); the sum over k is 1."""
+        """Each candidate's share in a measured mode's likelihood, (n, k, m). The sum over k is 1.
+
+        It is NaN if no candidate gives the mode a positive density.
+        """
         return np.exp(self.log_weight + self.log_density - self.terms[:, None])
 
 

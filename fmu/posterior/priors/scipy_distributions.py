@@ -98,8 +98,8 @@ class ScaledBeta(InvertedPrior):
         Raises
         ------
         ValueError
-            If the mean is not between the ends, or no beta distribution with this mean has so large a standard
-            deviation.
+            If `low` is not below `high`, the mean is not between them, or the standard deviation is not positive
+            or is too large for any beta distribution with this mean.
         """
         _require_order(low, high)
         if not low < mean < high:
