@@ -71,8 +71,9 @@ class Schedule:
         """Return a schedule in which each window covers the later half of all steps so far.
 
         Each window closes 10 % (at least 10 steps) later than the previous one, and the last at the end of the
-        second part. A warm-up of fewer than 30 steps has no windows. This schedule suits a sampler that mixes
-        slowly until it knows the target's covariance: the estimate improves from window to window.
+        second part. The first windows close during the first part. A warm-up of fewer than 30 steps has no
+        windows. This schedule suits a sampler that mixes slowly until it knows the target's covariance: the
+        estimate improves from window to window.
         """
         first, last = int(0.25 * steps), int(0.15 * steps)
         windows: list[tuple[int, int]] = []

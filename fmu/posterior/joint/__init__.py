@@ -5,5 +5,6 @@ parameter may also scatter from test to test, with values drawn from a *populati
 standardised value: a standard normal number that the population's distribution maps to the parameter value in
 that test. All parameters in theta other than the scores are the *main parameters*.
 
-Reading order: modal_test, varies, correlation, layout, build_layout, model_in_tests, joint_problem, typical.
+Reading order: modal_test, varies, correlation, outliers, layout, build_layout, model_in_tests, configurations,
+quantities, joint_problem; then conditional, blocks, typical, for sampling; damage_target, for planning.
 """

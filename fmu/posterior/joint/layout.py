@@ -25,7 +25,7 @@ from fmu.types import FloatArray, IntArray, Plain
 class Layout:
     """Inferred parameters of all tests, and the structural parameters in each test as functions of them.
 
-    For a single test the layout is the identity.
+    For a single test whose parameters are all updated, the layout is the identity.
 
     Attributes
     ----------

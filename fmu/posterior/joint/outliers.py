@@ -49,7 +49,8 @@ class Outliers:
     Raises
     ------
     ValueError
-        If the share is not between 0 and 1, its prior does not cover [0, 1], or the scale does not exceed 1.
+        If the share is not between 0 and 1, its prior is not a distribution on [0, 1], or the scale does not
+        exceed 1.
     """
 
     share: float | ScaledBeta = 0.05

@@ -34,7 +34,7 @@ class MixtureKernel:
     - ``block_position`` (BLOCK, chains, ndim), ``block_log_prob`` and ``block_log_weight`` (BLOCK, chains): the
       current block of candidates, which is evaluated in one batch;
     - ``next`` (): index of the next candidate in the block;
-    - ``log_weight`` (chains,): log w at the positions;
+    - ``log_weight`` (chains,): log w at the positions; NaN before the first fit;
     - ``fit`` (): number of the mixture fit from which the block and the weights come;
     - ``local_...``: the statistics of the last local step.
 
@@ -48,9 +48,9 @@ class MixtureKernel:
     fit : int
         Number of the current mixture fit; candidates and weights from an earlier fit are not used.
     gathers : bool
-        Used in warm-up only. If True, a chain far out in the tail accepts every candidate above the candidates'
-        median log-density. Without this it might never move: local steps fail there, and its weight is infinite.
-        "Far out" is more than `_FAR` plus one per coordinate below that median.
+        Used in warm-up only. If True, a chain far out in the tail accepts every candidate that is not below the
+        candidates' median log-density. Without this it might never move: local steps fail there, and its weight is
+        infinite. "Far out" is more than `_FAR` plus one per coordinate below that median.
     """
 
     target: Target

@@ -36,10 +36,10 @@ class MixtureSampler(Sampler):
     """Independence Metropolis-Hastings with a mixture of truncated Gaussians, and local steps in between.
 
     The log-density of a well-measured structure is nearly quadratic within its bounds. Each mixture component is a
-    quadratic fitted to the log-density and truncated at the bounds, so its density is known exactly. A candidate
-    is accepted with probability min(1, w*/w), where w = P/q. Candidates do not depend on the current position, so
-    one step can take a chain to a different maximum. Occasional local steps reach regions that the mixture misses.
-    The mixture is fitted in warm-up and then frozen.
+    quadratic fitted to the log-density and truncated at the bounds. It is sampled approximately, but the density q
+    of the samples is known exactly. A candidate is accepted with probability min(1, w*/w), where w = P/q.
+    Candidates do not depend on the current position, so one step can take a chain to a different maximum.
+    Occasional local steps reach regions that the mixture misses. The mixture is fitted in warm-up and then frozen.
 
     Parameters
     ----------

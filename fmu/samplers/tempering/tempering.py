@@ -43,8 +43,8 @@ class Tempering(Sampler):
     draws from the prior) to 1 (the posterior; its draws are the draws of the chain). After every `swap_every`
     steps, swaps between neighbouring replicas are proposed, for even and odd pairs in turn. A replica that finds
     another mode near the prior thus carries it to the posterior. Warm-up learns the ladder on which all swaps are
-    rejected equally often, and the kernel settings for every rung. The log-likelihoods at all rungs give the
-    evidence; see `fmu.evidence`.
+    rejected equally often, and the kernel settings for every rung, unless they are given. The log-likelihoods at
+    all rungs give the evidence; see `fmu.evidence`.
 
     Parameters
     ----------

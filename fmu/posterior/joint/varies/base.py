@@ -35,8 +35,8 @@ class Role(NamedTuple):
         ``"covariate"``: the value of a covariate in a test; ``"correlation"``: a partial correlation between two
         populations; ``"share"``: the probability that a test is an outlier; ``"noise"``: an inferred error sd.
     of : int or None
-        Index of the structural parameter in ``layout.structural``; None for correlations, covariates, dates and
-        the outlier share.
+        Index of the structural parameter in ``layout.structural``; None for correlations, covariates, dates,
+        the outlier share and error sds.
     where : str
         Name of the test, group, covariate (for a correlation time, the time covariate) or event that the role
         refers to; otherwise empty.
