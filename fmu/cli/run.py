@@ -44,7 +44,7 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
 """Options that may be changed when a run is resumed, because the draws do not depend on them."""
 
 ALL = "all"
-"""Value of ``--sampler`` that selects all samplers that ``fmu compare`` runs."""
+"""Value of ``--sampler`` for all samplers that ``fmu compare`` runs, and of ``--discrepancy`` for all variants."""
 _GARBAGE, _GARBAGE_OF_PAGES = 100_000, 1_000_000
 """Numbers of new objects after which Python collects garbage. Frequent collections would take a tenth of a short
 run. When pages are written, nearly all new objects are small and in use."""
@@ -53,7 +53,7 @@ run. When pages are written, nearly all new objects are small and in use."""
 def _option[Command: Callable[..., object]](
     name: str, kind: click.ParamType | type | None, text: str, **more: Any
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds an option. Its default is that of the `fmu.sample` argument with this name."""
+    """Return a decorator that adds an option with the default of `fmu.sample`'s argument, if there is one."""
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
         more |= {"default": default, "show_default": True}
@@ -277,7 +277,8 @@ def _read_order(context: click.Context, case: str | None, pairing: str | None, o
 def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
     """Return the problem and options of the run in a directory.
 
-    Raise BadParameter if an option that must not change is given, or there is no run that can be resumed.
+    Limits on solves and failures are replaced if they are given. Raise BadParameter if an option that must not
+    change is given, or there is no run that can be resumed.
     """
     from fmu.runs.run_directory import folder_of_order
 
@@ -327,7 +328,7 @@ def _begin_run(
 
 
 def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> None:
-    """Print how much time and how many solves the run is expected to take."""
+    """Print how much time and how many solves the run is expected to take, if this can be estimated."""
     from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts
 
@@ -338,7 +339,7 @@ def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> No
 
 @contextmanager
 def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
-    """Yield the progress callback that `progress` selects, and note the phases in the run's directory."""
+    """Yield the progress callback that `progress` selects, None for "none". Note the phases in the directory."""
     with ExitStack() as stack:
         report: Report | None = None
         if progress == "json":

@@ -54,7 +54,10 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
 
 
 def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, speaks: bool) -> UpdatingProblem:
-    """Build a surrogate and return the problem that uses it. Print its expected cost and then its certificate."""
+    """Build a surrogate and return the problem that uses it.
+
+    If `speaks`, print its expected cost and then its certificate.
+    """
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
     from fmu.surrogates.learning import certificate_of, expected_solves, surrogate
@@ -101,9 +104,10 @@ def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Save the solved points of a run's surrogate in the run's options; return the problem file and the options.
+    """Save the hash of the solves that a run's surrogate learnt from in the run's options, and return these.
 
-    If a run is resumed with more solves, its surrogate is new; the draws from the earlier surrogate are removed.
+    If a run is resumed with more solves, its surrogate is new. A message is then printed, and all draws from the
+    earlier surrogate are removed.
     """
     design = problem.model.configuration()["design"]
     is_other = asked.orders.get("design", design) != design

@@ -27,7 +27,7 @@ _PROGRAMS = {
 
 
 def how_to_export(suffix: str) -> str:
-    """Return instructions for exporting matrices from programs that use this file suffix, or "" if unknown.
+    """Return a sentence on exporting matrices from the programs that use this file suffix, or "" if none is known.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class DirectoryLock:
             raise ValueError(refusal) from None
 
     def release(self) -> None:
-        """Release the lock. Calling this again does nothing."""
+        """Remove this process's notes, and release the lock. Calling this again does nothing."""
         if self._lock.is_locked:
             leave(self._directory)
         self._lock.release()

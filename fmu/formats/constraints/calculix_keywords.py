@@ -22,7 +22,7 @@ KEYWORDS = (
     "MPC",
 )
 UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT")
-"""Constraint keywords that are skipped, without blanks."""
+"""Constraint keywords that are skipped, written without blanks."""
 MOST_CHARACTERS = 2**28
 """Largest total number of characters in sets and constraints."""
 

@@ -57,7 +57,7 @@ from fmu.numbers import significant
 Triangle = bool | Literal["lower", "upper"]
 
 SYMMETRIC = 1e-9
-"""Largest asymmetry of a pair of entries, relative to the larger of them and to √(a_ii a_jj)."""
+"""Largest asymmetry of a pair of entries, relative to |a_ij| + |a_ji| or √(a_ii a_jj), whichever is larger."""
 _CANCELLED = 1e-13
 """Asymmetry that rounding alone causes if large numbers cancel, relative to the largest diagonal entry."""
 _FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suffix in form.suffixes}

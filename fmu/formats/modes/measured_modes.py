@@ -44,7 +44,7 @@ class ModesError(ValueError):
     Attributes
     ----------
     mistakes : tuple of str
-        All errors found, each with its position in the file.
+        All errors found, with their positions in the file where these are known.
     """
 
     def __init__(self, source: str, mistakes: Sequence[str]) -> None:

@@ -150,7 +150,10 @@ def broken(label: str, room: float) -> str:
 
 
 def legend_below(axes: Axes) -> None:
-    """Move the axes' legend below the figure, in as many columns as fit. Do nothing if no artist has a label."""
+    """Move the axes' legend, if they have one, below the figure, in as many columns as fit.
+
+    Raise ValueError if the axes are on no figure.
+    """
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")
