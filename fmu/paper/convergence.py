@@ -197,7 +197,10 @@ def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
 
 
 def lengths_up_to(total: int, growth: float, first: int) -> IntArray:
-    """Return integers from `first` to `total` that increase by a factor of about `growth`; at least `total`."""
+    """Return integers from `first` to `total` that increase by a factor of about `growth`.
+
+    Return only `total` if it is not larger than `first`.
+    """
     if total <= first:
         return np.array([total])
     count = int(np.ceil(np.log(total / first) / np.log(growth))) + 1

@@ -133,7 +133,7 @@ def _clean(tag: str, key: str, used: set[str]) -> str:
 
 
 def _of_scheme(style: re.Match[str]) -> str:
-    """Return a style without spaces and with colours as CSS variables that default to the original colours."""
+    """Return a style without spaces, with the colours in `_OF_SCHEME` as CSS variables that default to them."""
     text = style[0].replace(": ", ":").replace("; ", ";")
     for colour, name in _OF_SCHEME.items():
         text = text.replace(colour, f"var(--{name},{colour})")

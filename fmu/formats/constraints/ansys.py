@@ -32,7 +32,7 @@ def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
     ------
     RefusedError, ValueError
         If an equation is malformed, cut short, or does not determine its first degree of freedom; if a coupled set
-        has no direction or no nodes; or if there are too many of them.
+        has no direction or no nodes; or if there are too many equations, terms or coupled nodes.
     """
     found: list[Equation] = []
     coupled = _CoupledSets()

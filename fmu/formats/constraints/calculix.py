@@ -130,7 +130,7 @@ def _equations(
     """Yield each equation's coefficients along global axes, its first degree of freedom and its source.
 
     The first degree of freedom is along the node's own axes. Raise RefusedError or ValueError if an equation is
-    malformed or names no single node of the deck.
+    malformed, or if a term does not name exactly one node of the deck.
     """
     rows = one.rows()
     for count, start in enumerate(rows, 1):

@@ -39,7 +39,8 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file has no eigenvalues, or lacks a mode or a sensor.
+        If the file has no eigenvalues or lacks a mode or a sensor, a sensor is not a node with direction x, y or
+        z, or a mode to use has no frequency above 0 Hz.
     """
     path = checked_file(file)
     wrong = [place for place, d in sensors if not is_node(place) or d.removeprefix("-") not in DIRECTIONS]

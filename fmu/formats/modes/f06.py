@@ -72,7 +72,8 @@ def read_f06(
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file has no eigenvectors, or lacks a mode or node, or the deck cannot be read.
+        If the file is not printed output, has no eigenvectors, or lacks a mode or node; if a mode to use has no
+        frequency above 0 Hz; or if the deck cannot be read.
     """
     printed = _read_printed(file, sensors, deck)
     return modes_chosen(file.name, printed[:2], sensors, modes, printed[2])

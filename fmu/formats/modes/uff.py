@@ -75,7 +75,8 @@ def read_uff(
         Numbers of the modes to use, in this order; by default all, in file order.
     sensors : sequence of (place, direction), optional
         Places and measured directions, which may have a minus sign. The default is every place and direction with
-        a nonzero component in at least one mode: the format fills directions that were not measured with zeros.
+        a nonzero component in at least one mode: the format fills directions that were not measured with zeros. A
+        sensor that the file lacks has zeros too.
     least_mpc : float
         Smallest phase collinearity of complex shapes, which are converted to real shapes; see
         `fmu.formats.modes.measured_modes.real_shapes`.
@@ -93,7 +94,8 @@ def read_uff(
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file cannot be read, or does not have the given modes, nodes or sensors.
+        If the file cannot be read, has no modes, a mode twice or not the given modes or nodes; if a frequency is
+        not above 0 Hz; or if a shape is zero, or its phase collinearity is below `least_mpc`.
     """
     mode_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}

@@ -43,7 +43,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
     Raises
     ------
     ValueError
-        If this would overwrite a file that fmu did not write.
+        If this would overwrite a file that fmu did not write, or `directory` is a file.
     """
     output = OutputDirectory(directory)
     page = f"{INDEX}.html"

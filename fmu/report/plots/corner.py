@@ -54,7 +54,7 @@ def plot_corner(
     Raises
     ------
     ValueError
-        If there are fewer draws than parameters.
+        If there are fewer draws than parameters, or `names` has an unknown parameter.
     """
     import corner
 
