@@ -67,7 +67,7 @@ USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
-    """Warns that the reduced model's error exceeds its tolerance or its bound at retained draws."""
+    """Warns that a certificate is not met: an error too large, a changed pairing, or too many full solves."""
 
 
 def certify(
@@ -78,7 +78,8 @@ def certify(
     Residuals bound the frequency errors (`fmu.fem.reduced.residuals`). The draws are chosen at random with the
     trace's seed: up to 512 for small structures, fewer for larger structures or several tests. One in twelve of
     them, including the four with the largest bounds, is solved with the full model (`fmu.fem.reduced.confirming`).
-    At least 16 draws are solved, or 8 if the structure has 20 000 degrees of freedom or more.
+    At least 16 draws are solved, or 8 if the structure has 20 000 degrees of freedom or more. With several tests,
+    these smallest numbers and the four are divided by the number of tests.
 
     Parameters
     ----------
@@ -93,8 +94,8 @@ def certify(
     Returns
     -------
     Certificate or None
-        For a surrogate, the certificate made when the surrogate was built. None if the model is neither a
-        surrogate nor reduced in every configuration.
+        For a surrogate, the certificate made when the surrogate was built. None if the problem is not an updating
+        problem, or its model is neither a surrogate nor reduced in every configuration.
 
     Warns
     -----

@@ -140,13 +140,13 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     Raises
     ------
     ValueError
-        If the method is unknown, or the trace does not have the rungs or candidates that the method needs.
+        If the method is unknown, or the trace does not have the rungs or the 100 candidates that the method needs.
 
     References
     ----------
     Xie, Lewis, Fan, Kuo & Chen (2011), Systematic Biology 60, 150-160; Friel & Pettitt (2008), JRSS B 70, 589-607;
-    Friel, Hurn & Wyse (2014), Statistics and Computing 24, 709-723; Meng & Wong (1996), Statistica
-    Sinica 6, 831-860; Frühwirth-Schnatter (2004), Econometrics Journal 7, 143-167.
+    Friel, Hurn & Wyse (2014), Statistics and Computing 24, 709-723; Meng & Wong (1996), Statistica Sinica 6,
+    831-860; Frühwirth-Schnatter (2004), Econometrics Journal 7, 143-167.
     """
     if method is not None and method not in (*METHODS, *OF_MIXTURE):
         raise ValueError(f"method: must be one of {', '.join((*METHODS, *OF_MIXTURE))} (got {method!r})")
@@ -341,7 +341,7 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
 
 
 def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
-    """Return the estimates, with a doubt added to each one that disagrees with a reliable estimate."""
+    """Return the estimates, each with a doubt for every reliable one that is over four standard errors away."""
     reliable = [one for one in found if not one.doubts]
     compared = []
     for one in found:

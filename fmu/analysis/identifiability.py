@@ -229,7 +229,8 @@ def with_identifiability(
 ) -> xr.DataTree:
     """Return the trace with the identifiability at the starting point and, if known, at the highest maximum.
 
-    A point at which the model has no derivative is skipped: an error here would lose the draws.
+    A point at which the model has no derivative is skipped: an error here would lose the draws. If no point is
+    left, the trace is returned unchanged.
     """
     import xarray as xr
 

@@ -214,7 +214,10 @@ def _without_failures(drawn: NextTest) -> NextTest:
 
 
 def _compare(problem: UpdatingProblem, test: Test, like: Test, drawn: NextTest) -> Mapping[str, object]:
-    """Return the table row of a new test, given draws of the next test with the modes of the test `like`."""
+    """Return the table row of a new test, given draws of the next test with the modes of the test `like`.
+
+    Raise ValueError if there are fewer than ten draws for each mode.
+    """
     columns = [like.data.labels.index(label) for label in test.data.labels]
     y, measured = drawn.measured[:, columns], np.asarray(test.data.frequencies_hz)
     n = len(y)

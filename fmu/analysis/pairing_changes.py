@@ -49,7 +49,8 @@ class PairingChanges:
     swapped : ndarray, shape (n_modes, n_modes)
         Fraction of all draws in which two measured modes are in the reverse of their order before updating.
     rule : {"shape", "index", "soft"} or None
-        How modes are paired; None if the trace does not store the pairing. The attributes below are then unknown.
+        How modes are paired; None if the trace does not store the pairing. `changed` is then NaN, and `project`
+        and `jumps` are 0.
     constant : bool
         Whether the pairing cannot change, because it was verified that each measured mode is a fixed mode of a
         block.
@@ -254,6 +255,8 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
 
 def nearest_other(structure: Any, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
     """Return the relative distance in frequency from each mode to the nearest other computed mode, (n, n_modes).
+
+    It is infinite if there is no other mode.
 
     Parameters
     ----------

@@ -52,7 +52,8 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 
     Each statistic is standardised by its mean and standard deviation over random orders and compared with the
     largest of all statistics in each random order (Westfall & Young 1993, *Resampling-based multiple testing*,
-    section 2.3). The smallest possible p-value is 1/(1 + n_orders).
+    section 2.3). The mean of a two-sided statistic is taken as 0. The smallest possible p-value is 1/(1 +
+    n_orders).
 
     Parameters
     ----------
@@ -100,7 +101,11 @@ def improbability_of_lag_one(r: FloatArray, n: FloatArray) -> FloatArray:
 
 
 def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the lag-1 autocorrelation of each column, (n_orders, m), of centred sequences z (n_orders, n, m)."""
+    """Return the lag-1 autocorrelation of each column, (n_orders, m), of centred sequences z (n_orders, n, m).
+
+    `present`, of the same shape as z, marks the values that exist; z is 0 elsewhere. Pairs with a missing value
+    are left out. A constant column gives NaN.
+    """
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     pairs = np.maximum(np.sum(present[:, 1:] & present[:, :-1], axis=1), 1)
     return np.asarray(np.sum(z[:, 1:] * z[:, :-1], axis=1) / square * (n - 1) / pairs)
@@ -109,7 +114,8 @@ def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
 def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
     """Return the correlation of x (n,) with each column of centred sequences z (n_orders, n, m).
 
-    The result has shape (n_orders, m).
+    `present`, of the same shape as z, marks the values that exist; z is 0 elsewhere. The rows of x without a value
+    in a column are left out of its correlation. The result has shape (n_orders, m), with NaN for constant columns.
     """
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     t = np.where(present, x[:, None], 0.0)
@@ -120,7 +126,8 @@ def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatA
 def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
     """Return the between-group fraction of each column's variance, (n_orders, m), in centred sequences z.
 
-    `z` has shape (n_orders, n, m). `of_group` (n, n_groups) is 1 where a row belongs to a group, otherwise 0.
+    `z` has shape (n_orders, n, m) and is 0 where `present`, of the same shape, is False. `of_group` (n, n_groups)
+    is 1 where a row belongs to a group, otherwise 0. A constant column gives NaN.
     """
     sums = np.einsum("onm,ng->omg", z, of_group)
     counts = np.einsum("onm,ng->omg", present.astype(float), of_group)
@@ -136,7 +143,8 @@ def slow_waves(n: int) -> FloatArray:
 def share_along(basis: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
     """Return the fraction of each column's sum of squares in the span of a basis, shape (n_orders, m).
 
-    The centred sequences `z` have shape (n_orders, n, m), and the columns of `basis` (n, k) are orthonormal.
+    The centred sequences `z` have shape (n_orders, n, m) and are 0 where a value is missing; `present` is not
+    used. The columns of `basis` (n, k) are orthonormal. A constant column gives NaN.
     """
     return np.asarray(np.sum(np.einsum("onm,nk->omk", z, basis) ** 2, axis=2) / np.sum(z**2, axis=1))
 
@@ -152,7 +160,8 @@ class Bends:
     Attributes
     ----------
     places : ndarray, shape (n_places,)
-        Values of x from its 15 % to its 85 % quantile; empty if x has too few values.
+        Values of x from its 15 % to its 85 % quantile with at least four tests on either side; empty if there are
+        none.
     """
 
     def __init__(self, x: FloatArray) -> None:
@@ -180,7 +189,7 @@ class Bends:
         return np.asarray(np.einsum("...nm,nc->...mc", z, self._bent) ** 2 / left[..., None])
 
     def largest(self, z: FloatArray, present: BoolArray) -> FloatArray:
-        """Return the largest of `shares` over all places, shape (n_orders, m)."""
+        """Return the largest of `shares` over all places, shape (n_orders, m); `present` is not used."""
         return np.asarray(self.shares(z).max(axis=-1))
 
 

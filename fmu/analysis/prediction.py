@@ -67,7 +67,8 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
     Raises
     ------
     ValueError
-        If no variable has the name `G`, or the callable returns another shape or values that are not finite.
+        If `trace` is not a trace, no variable has the name `G`, or the callable returns another shape or values
+        that are not finite.
     """
     check_trace(trace)
     values = _read_draws(trace, G) if isinstance(G, str) else _evaluate(trace, G)
@@ -106,7 +107,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     Raises
     ------
     ValueError
-        If the trace holds no frequencies, or `ci_prob` does not lie between 0 and 1.
+        If `trace` is not a trace or holds no frequencies, or `ci_prob` does not lie between 0 and 1.
     """
     lower, upper = interval_columns(ci_prob)
     model = expectation(trace, "model_frequency")
@@ -211,7 +212,7 @@ def at_bounds(trace: xr.DataTree) -> list[AtBound]:
 
     A parameter is listed if three conditions hold: at least 5 % of the draws lie within 2 % of the range from the
     bound; this is more than three times the prior's fraction there; and the posterior mean is within two standard
-    deviations of the bound.
+    deviations of the bound. Parameters without two finite bounds are never listed.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))

@@ -66,7 +66,11 @@ class Repeatability:
         return np.asarray(np.maximum(self.n * (1.0 - rho) / (1.0 + rho), 1.0))
 
     def doubts(self) -> list[str]:
-        """Return a sentence with a remedy on each mode whose tests drift or are correlated."""
+        """Return a sentence on each mode whose tests drift or are correlated, followed by one on the remedy.
+
+        If no single mode is listed, there may be a sentence on all modes together. The list is empty if there are
+        no doubts.
+        """
         said = [self._of_mode(int(k)) for k in np.flatnonzero(self.resembles | self.drifts)]
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
@@ -123,6 +127,11 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
         Measured frequencies, NaN where a test missed a mode.
     labels : tuple of str
         Labels of the modes.
+
+    Raises
+    ------
+    ValueError
+        If `tests` are not valid repeated tests (`fmu.posterior.data.repeated.RepeatedTests`).
     """
     values = np.array(RepeatedTests(tests).frequencies_hz)
     present = ~np.isnan(values)

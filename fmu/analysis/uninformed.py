@@ -20,7 +20,7 @@ _ALIKE = 0.05
 
 
 class Uninformed(NamedTuple):
-    """A direction in parameter space about which the data carry no information.
+    """A direction in parameter space about which the data carry hardly any information.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Uninformed(NamedTuple):
 def left_to_prior(found: Identifiability) -> list[Uninformed]:
     """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
-    Parameters on which no measured mode depends come first, one direction each. Any basis of the remaining
+    Parameters on which the measured modes hardly depend come first, one direction each. Any basis of the remaining
     directions would be valid; the sparsest that elimination finds is returned.
     """
     most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
@@ -183,7 +183,8 @@ def eliminate(rows: FloatArray) -> FloatArray:
 def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
     """Return a direction with a name made from its large components.
 
-    `relative` (ndim,) is each parameter's relative change along the direction.
+    `relative` (ndim,) is each parameter's relative change along the direction. If it is NaN, the combination that
+    the data determine instead is left empty.
     """
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")

@@ -27,7 +27,7 @@ class RunFailedError(RuntimeError):
 
 
 class LostTaskError(RunFailedError):
-    """Raised when every worker that ran a task has died.
+    """Raised when `MAX_DEATHS` workers in a row have died while they ran the same task.
 
     Attributes
     ----------
@@ -81,11 +81,12 @@ class Engine(Protocol):
         tasks : sequence
             The first task of every sequence. No task may be None.
         follow : callable, optional
-            Called in this process as ``follow(task, result)``. It returns the next task of the sequence, or None
-            if the sequence has ended. If `follow` is None, every sequence is a single task.
+            Called in this process as ``follow(i, result)``, where i is the index of the sequence in `tasks`. It
+            returns the next task of the sequence, or None if the sequence has ended. If `follow` is None, every
+            sequence is a single task.
         report : callable, optional
-            Called in this process with the progress that `work` reports, at most about ten times a second for each
-            worker. If None, None is passed to `work`.
+            Called in this process with the progress that `work` reports. Workers in other processes pass on at
+            most about ten reports a second each. If None, None is passed to `work`.
 
         Returns
         -------

@@ -158,7 +158,7 @@ class ProcessPool(RemoteEngine):
         process.stop()
 
     def _pack_shared(self, shared: object) -> bytes:
-        """Return `shared` pickled. If it is the same object as in the last call, the bytes are not made again."""
+        """Return `shared` pickled. The bytes are reused if it is the same object as in the last call."""
         if self._shared is None or self._shared[0] is not shared:
             self._shared = shared, cloudpickle.dumps(shared)
         return self._shared[1]

@@ -96,7 +96,10 @@ def run_program(
 
 
 def last_lines(output: Path) -> str:
-    """Return the last lines that a program printed, joined into one line, or "" if it printed nothing."""
+    """Return up to five last lines that a program printed, joined into one line of up to 300 characters.
+
+    The text is empty if the program printed nothing or the file cannot be read.
+    """
     try:
         with open(output, "rb") as file:
             file.seek(max(0, output.stat().st_size - _TAIL))

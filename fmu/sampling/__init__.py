@@ -81,8 +81,7 @@ def sample(
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
         default is the mixture, which gave the largest effective sample size per evaluation in all comparisons. For
-        a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests, or ``"hmc"`` if the
-        model has a discrepancy.
+        a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests.
     draws, warmup : int
         Number of retained steps, and number of warm-up steps before them. Each retained step of an ensemble gives
         one draw per walker.
@@ -98,8 +97,8 @@ def sample(
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
         that is fitted to the posterior in warm-up. Chains then cross between separated maxima
-        (`fmu.samplers.mixture.mixture.with_jumps`). By default True if at least two maxima have 1 % of the
-        probability each, or if several maxima are known and the chains do not start at them.
+        (`fmu.samplers.mixture.mixture.with_jumps`). By default True if at least two maxima have more than 1 % of
+        the probability each, or if several maxima are known and the chains do not start at them.
     groups : int, optional
         Number of groups into which the chains are divided for several workers. The chains of a group advance and
         are tuned together, so the draws depend on this number. By default all chains form one group, and each
@@ -149,7 +148,7 @@ def sample(
         limit at which a run with `until_ess` ended before its verdict was good. The trace of an updating problem
         also has the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing``
         (`fmu.analysis.pairing_changes`), ``identifiability`` (`fmu.analysis.identifiability`) and
-        ``leave_one_out`` (`fmu.analysis.held_out.modes`).
+        ``leave_one_out`` (`fmu.analysis.held_out.modes`), as far as they apply to it.
 
     Raises
     ------
@@ -167,6 +166,8 @@ def sample(
         KeyboardInterrupt; the draws are saved.
     TooManyFailuresError
         If the fraction of failed solves exceeds `max_failure_rate`.
+    RunFailedError
+        If workers die repeatedly, or the connection to a cluster is lost.
     """
     from fmu.progress import reporting
     from fmu.progress.phases import solves, told_to

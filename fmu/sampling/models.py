@@ -32,6 +32,7 @@ def compare_models(
     until_ess : float
         Effective sample size that each sampled problem must reach.
     seed : int
+        Seed of the sampling.
 
     Returns
     -------
@@ -43,7 +44,7 @@ def compare_models(
         - ``difference``: difference from the largest log-evidence;
         - ``probability``: posterior probability of the model, if all models with an evidence were equally probable
           before the test;
-        - ``n_parameters``: number of parameters, including inferred standard deviations;
+        - ``n_parameters``: effective number of parameters, including inferred standard deviations;
         - ``held_out``: number of modes that every model predicts from the other modes (`fmu.leave_one_out`);
         - ``inside``: number of these modes that lie in their 90 % predictive intervals;
         - ``sum_z2``: Σ z² over these modes, where z is the prediction error in standard deviations;
@@ -56,8 +57,8 @@ def compare_models(
     Raises
     ------
     ValueError
-        If there are fewer than two models, or they do not use the same quantities of the same measured data.
-        Evidences of different data cannot be compared.
+        If there are fewer than two models, a trace is not one of an updating problem, or the models do not use the
+        same quantities of the same measured data. Evidences of different data cannot be compared.
 
     References
     ----------

@@ -53,8 +53,10 @@ def simulate_plan(
         Rows of ``plan.choices`` to compare with the plan. Defaults to effective independence and the smallest
         AutoMAC.
     draws : int
-        Number of draws in each of four chains; sampling continues until every parameter has an ESS of 400.
+        Number of draws in each of four chains; sampling continues until every parameter has an ESS of 400, up to
+        twenty times as many draws.
     seed : int
+        Seed of the tests and of the sampling.
 
     Returns
     -------
@@ -63,7 +65,8 @@ def simulate_plan(
     Raises
     ------
     ValueError
-        If a choice is unknown, or earlier tests are part of the plan.
+        If a choice is unknown, or the plan does not start from the prior of a single test with all parameters
+        updated.
     """
     if not plan.before.is_prior:
         rule = "must start from the prior of a problem of one test, all parameters updated, to simulate tests"

@@ -123,7 +123,8 @@ class Updates:
 
         `expected` is the parameter's expected standard deviation. The ratio to explain is real/expected =
         (at_truth/expected) (at_mean/at_truth) (real/at_mean). The factor that is furthest from 1 gives the reason.
-        The last factor is due to bounds, crossing modes, or another departure from a Gaussian.
+        The last factor is due to bounds, crossing modes, or another departure from a Gaussian. If the update has
+        not converged, that is the reason.
         """
         truth, mean, real = self.at_truth[test, k], self.at_mean[test, k], self.real[test, k]
         factors = np.array([truth / expected, mean / truth, real / mean])

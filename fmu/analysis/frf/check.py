@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Check for each FRF whether noise alone explains the misfit; return one `Check` per FRF.
+    """Check for each FRF whether noise alone explains the misfit; return one `Check` per FRF that is used.
 
     At each draw, Σ r² over the lines is chi-square if the model is correct, and P(χ² ≥ Σ r²) is uniform; its mean
     over the draws is compared with half the level (`fmu.analysis.fit.checks`).

@@ -80,7 +80,10 @@ class ModelComparison:
 
 
 def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
-    """Compare models, given one trace per model; see `fmu.compare_models`."""
+    """Compare models, given one trace per model; see `fmu.compare_models`.
+
+    Raise ValueError unless there are two or more traces of updating problems, with the same data.
+    """
     if len(traces) < 2:
         raise ArgumentError("models", "must be two or more", len(traces))
     for name, trace in traces.items():

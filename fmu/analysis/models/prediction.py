@@ -60,8 +60,10 @@ def predict_modes(
         Name of the test whose parameters the structure has, such as a test of the damaged state; required if there
         are several tests.
     draws : int
-        Largest number of draws used, evenly spaced over the trace. Each takes a solve of the full model.
+        Largest number of draws used, evenly spaced over the trace. Each takes a solve of the full model. Draws at
+        which it fails are left out.
     seed : int
+        Seed of the model errors.
 
     Returns
     -------
@@ -73,8 +75,8 @@ def predict_modes(
     Raises
     ------
     ValueError
-        If the trace does not belong to the problem, the model has no matrices or fewer modes, or a parameter,
-        place or test does not exist.
+        If the trace has other parameters, the model has no matrices or fewer modes, or a parameter, place or test
+        does not exist.
     """
     check_trace(trace)
     if parameter_names(trace) != problem.names:
@@ -121,7 +123,10 @@ def _factors(problem: UpdatingProblem, factors: Mapping[str, float]) -> FloatArr
 def _solve(
     problem: UpdatingProblem, values: FloatArray, modes: int, change: Change
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies in Hz, (n, modes), at parameters (n, p), and their gradients (n, modes, p)."""
+    """Return the lowest frequencies in Hz, (n, modes), at parameters (n, p), and their gradients (n, modes, p).
+
+    Raise ValueError if the model has no matrices or fewer modes, or if the change does not suit it.
+    """
     paired = structure_of(problem.model.parts[0])
     if paired is None:
         raise ArgumentError("problem", "must have a model with matrices", type(problem.model.truth).__name__)

@@ -55,7 +55,7 @@ class Scatter(NamedTuple):
 
 
 def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
-    """Return the inferred scatters of a trace, in the order of theta; empty if the model has no discrepancy."""
+    """Return the inferred scatters of a trace, in the order of theta; empty if none is inferred."""
     problem = problem_of(trace)
     likelihood = problem.get("likelihood", {})
     noise = list(likelihood.get("noise", ()))
@@ -170,7 +170,10 @@ def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.Dat
 
 
 def ratio_words(ratios: pd.DataFrame, reference: str) -> list[str]:
-    """Return one sentence per model on how much wider its intervals are than those in the reference model."""
+    """Return a sentence per model on how much wider its intervals are than those in the reference model.
+
+    Models without a parameter of the reference are left out.
+    """
     said = []
     for name in map(str, ratios.columns):
         known = ratios[name].dropna()

@@ -122,7 +122,7 @@ class InitialModes:
 
 
 def initial_modes(problem: UpdatingProblem) -> InitialModes:
-    """Solve a problem's full model at its starting point; return its modes, paired with the measured ones.
+    """Solve a problem's model at its starting point; return its modes, paired with the measured ones.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
     Returns
     -------
     InitialModes
-        Only the paired modes if the model computes no others.
+        Only the paired modes if the model computes no others, or if there are several tests.
     """
     point = problem.start
     labels = tuple(map(str, problem.data.labels))
@@ -288,11 +288,11 @@ def _find_seen(
 
 
 def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> list[str]:
-    """Describe, for each mode, the two directions with the largest fractions of its kinetic energy.
+    """Describe, for each mode, the two directions with the largest fractions of its kinetic energy, if above 10 %.
 
     The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. Terms of M that couple directions, such as
     displacement and rotation in a consistent mass matrix, are left out: φ_dᵀ (Mφ)_d, which includes them, can
-    exceed the total energy.
+    exceed the total energy. The descriptions are empty if the model has only one direction.
     """
     directions = np.array([direction for _, direction in model.structure.dofs])
     names = [str(name) for name in dict.fromkeys(directions)]
@@ -316,7 +316,8 @@ _OF_PAIRS = ("measured, Hz", "error", "MAC", "subspace MAC", "MPC")
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
     """Return a text table with one row per computed mode, and dashes in cells that do not apply.
 
-    Three or more successive modes share a row if they are rigid-body modes, or if they move no sensor.
+    Three or more successive modes share a row if they are rigid-body modes, or if they move no sensor. Columns
+    that apply to no mode are left out.
     """
     import pandas as pd
 

@@ -44,7 +44,7 @@ class MeasuredFRFs:
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.notes)
 
     def table(self) -> pd.DataFrame:
-        """Return a text table with one row per FRF: lines used and held out, relative error, and FRAC."""
+        """Return a text table with one row per FRF: lines used and held out, median relative sd, and FRAC."""
         names = [f"{one.of_test}{label}" for one in self.tests for label in one.data.labels]
         return data_frame([row for one in self.tests for row in one.rows()], "FRF", names)
 

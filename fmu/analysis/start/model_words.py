@@ -61,7 +61,8 @@ def _describe_held(problem: UpdatingProblem) -> list[str]:
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return a table of each parameter's unit, starting value, bounds, prior, and the quantities that it changes.
 
-    The test scores of a population are omitted, because all of them are standard normal.
+    The test scores of a population are omitted, because all of them are standard normal. The last column is
+    omitted if it is empty, as for a user's function.
     """
     rows, listed = [], _find_listed(problem)
     for k in listed:
@@ -97,7 +98,8 @@ def _beside_structure(problem: UpdatingProblem, k: int) -> str:
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     """Return the structure as SVG, and the colour in which it shows each row of `parameter_table`.
 
-    If the structure cannot be drawn, the SVG is empty and each colour is None.
+    The colour is None for a parameter that changes nothing in the structure. If the structure cannot be drawn, the
+    SVG is empty and each colour is None.
     """
     listed, structure = _find_listed(problem), problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
@@ -118,7 +120,8 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 
     This mass is a check on units and densities. Next to a support the translation bends the elements, whose rotary
     inertia adds to the transverse mass. If the masses in all directions agree within 10 %, only the smallest is
-    stated. Degrees of freedom without named directions are not summed.
+    stated. Degrees of freedom without named directions are not summed: the sentence then gives the range of the
+    mass matrix's diagonal.
     """
     M = structure.M(problem.model_parameters(problem.start[None])[0])
     if all(is_node(node) and direction == "x" for node, direction in structure.dofs):

@@ -45,9 +45,10 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings about measured modes whose shape is like no computed mode's, or like two, judged by MAC.
+    """Return warnings about measured modes that are unlike their paired mode, or about as similar to another one.
 
-    `alike` (n_modes, n_computed) is the MAC. Close modes are skipped if their subspace matches the measured one.
+    Similarity is judged by MAC: `alike`, shape (n_modes, n_computed), or None if no shapes were measured. `paired`
+    gives the column of each measured mode. Close modes are skipped if their subspace matches the measured one.
     """
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):
@@ -72,7 +73,7 @@ def unlike(
 def close(
     labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
-    """Return warnings about computed modes that are close in frequency.
+    """Return warnings about computed modes that are close in frequency to a paired mode.
 
     Unless modes are paired by number, close modes that move no sensor are ignored.
     """
