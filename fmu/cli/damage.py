@@ -22,7 +22,10 @@ BEYOND = (0.05, 0.1)
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print the losses in each later state, with the values before and after. Warn if they are unreliable."""
+    """Print the losses in each later state, with the values before and after. Warn if they are unreliable.
+
+    Raise ValueError if the trace has no losses.
+    """
     from fmu.analysis.trace.damage import (
         ANY,
         WITHHELD,

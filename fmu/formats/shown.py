@@ -62,7 +62,7 @@ def names_shown(names: Collection[object]) -> str:
 
 
 def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
-    """Return a text on one line, with at most `most` characters, and unprintable characters escaped."""
+    """Return a text on one line, cut after `most` characters, with unprintable characters escaped."""
     line = " ".join(_cut(text, 4 * most).split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -353,7 +353,7 @@ class Page:
 
     @property
     def has_basis(self) -> bool:
-        """Whether there are assumptions or reasons to show."""
+        """Whether there are assumptions, reasons or notes to show."""
         return bool(self.assumptions) or any(verdict.lists for verdict in self.verdicts)
 
 

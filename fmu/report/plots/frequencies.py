@@ -124,6 +124,11 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     Returns
     -------
     Axes
+
+    Raises
+    ------
+    ValueError
+        If the trace has no frequencies.
     """
     table, tests = predict_frequencies(trace), measured_tests(trace)
     series = []
@@ -209,7 +214,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     Raises
     ------
     ValueError
-        If the trace has no predictive distribution for measurements.
+        If the trace has no frequencies, or no predictive distribution for measurements.
     """
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:

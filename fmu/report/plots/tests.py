@@ -101,6 +101,11 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     Returns
     -------
     ndarray of Axes, one per state
+
+    Raises
+    ------
+    ValueError
+        If the trace has no losses, or `beyond` is below 0, or is 1 or more.
     """
     table, losses = damage(trace, (beyond,)), trace[LOSSES].to_dataset()
     states = losses["state"].to_numpy().astype(str).tolist()
@@ -139,6 +144,11 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
     -------
     ndarray of Axes
         One axes for the probability, and one for the losses.
+
+    Raises
+    ------
+    ValueError
+        If the trace has no damage at an unknown date, or `beyond` is below 0, or is 1 or more.
     """
     table, names = damage_by_test(trace, (beyond,)), list(map(str, trace[BY_TEST].data_vars))
     figure = figure or style.new_figure(WIDE, 4.2)

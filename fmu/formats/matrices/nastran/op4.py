@@ -84,7 +84,7 @@ class _Entries:
         self.strings.append((row, column, values))
 
     def matrix(self) -> sp.csr_array:
-        """Return the matrix, and release the collected entries."""
+        """Return the matrix, and release the collected entries. Raise RefusedError if it has too many rows."""
         header = self.header
         rows_within(max(abs(header.rows), header.columns))
         counts = np.array([len(values) for *_, values in self.strings], dtype=np.int64)
