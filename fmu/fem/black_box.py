@@ -17,8 +17,9 @@ gradient, central differences are used, which take 2 ndim more calls.
 
 For a batched function theta has the shape (n_points, ndim), and all results have a leading axis of n_points.
 
-If the function raises an exception or returns an invalid result, such as NaN, the point counts as failed and the
-run continues; `BlackBoxModel.reasons` gives the reasons. At the starting point, a failure is an error.
+If the function raises an exception or returns an invalid result, such as NaN for the frequency of a measured mode,
+the point counts as failed and the run continues; `BlackBoxModel.reasons` gives the reasons. At the starting point,
+a failure is an error.
 """
 
 from __future__ import annotations

@@ -95,8 +95,7 @@ def ownership(
     ------
     ValueError
         If names are not distinct, a target does not exist or is updated twice, a factor multiplies a value of
-        zero, or a parameter that is no factor targets stiffnesses or inertias of which some are translational and
-        some rotational.
+        zero, or a target of a parameter that is no factor covers stiffnesses in N/m and in N·m/rad.
     """
     things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):

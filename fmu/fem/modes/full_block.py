@@ -348,7 +348,7 @@ def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> t
 def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[int, int]:
     """Return the bytes that a process needs to hold the terms, and to factorise a stiffness matrix too.
 
-    Python and its libraries are included, the factors themselves are not.
+    Python and its libraries are included, but not the factors themselves.
     """
     stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in ((*K_terms, *M_terms), K_terms))
     return LIBRARIES + stored, LIBRARIES + stored + COPIES * stiffness

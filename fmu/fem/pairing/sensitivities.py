@@ -58,7 +58,10 @@ class Sensitivities:
 
     @property
     def prediction(self) -> ModalPrediction:
-        """The frequencies and their derivatives as a `ModalPrediction`, with shapes if they were requested."""
+        """The frequencies and their derivatives as a `ModalPrediction`.
+
+        Shapes are included if they were requested; otherwise the prediction has no sensors.
+        """
         n, m = self.frequencies.shape
         shapes = np.empty((n, 0, m)) if self.shapes is None else self.shapes
         return ModalPrediction(self.frequencies, shapes, self.gradient, self.shape_slopes)

@@ -146,7 +146,8 @@ class SolveStore:
         Raises
         ------
         ValueError
-            If the two solves differ by more than a solver's scatter (`MOST_SCATTER`).
+            If the two solves have arrays of different shapes, or their frequencies or mode shapes differ by more
+            than a solver's scatter (`MOST_SCATTER`).
 
         Warns
         -----
