@@ -259,7 +259,7 @@ def _exponent(value: float) -> int:
 
 
 def _last_place(value: float, digits: int) -> int:
-    """Return the power of ten of the last digit shown when a value is rounded to `digits` significant digits."""
+    """Return the power of ten of the last of `digits` significant digits of a value, or 0 for zero."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2]) - digits + 1 if value else 0
 
 

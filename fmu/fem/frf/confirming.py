@@ -20,10 +20,10 @@ from fmu.progress.phases import phase
 from fmu.types import ComplexArray, FloatArray
 
 ALLOWED = 0.1
-"""Largest posterior shift allowed, in posterior standard deviations."""
+"""Largest posterior shift and largest error of direct solves allowed, in standard deviations."""
 _PREFIX = "frf_certificate_"
 _LOSS = 0.02
-"""Loss factor at which the full structure is solved directly, line by line."""
+"""Loss factor with which the full structure is solved directly, line by line."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,10 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
     """Compute the errors of reduced-model FRFs at n parameter vectors.
 
     Return None if there is no reduced model, because the basis has all degrees of freedom. `theta` (n, p) are the
-    structural parameters and `values` (n, q) the damping parameters. Let r be the errors at
-    all lines in standard deviations, and J the FRF derivatives in the same units. To first order, the posterior
-    moves by the component of r in the column space of J. The direct solves use (K (1 + iη) − ω² M) x = f with one
-    loss factor, which tests the basis for any kind of damping.
+    structural parameters and `values` (n, q) the damping parameters. Let r be the errors at all lines in standard
+    deviations, and J the FRF derivatives in the same units. To first order, the posterior moves by the component
+    of r in the column space of J. The direct solves use (K (1 + iη) − ω² M) x = f with one loss factor, which
+    tests the basis for any kind of damping.
     """
     if model.block.size == model.full.size:
         return None

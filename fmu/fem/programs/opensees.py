@@ -56,7 +56,7 @@ _DIRECTIONS = {
     (3, 3): ("x", "y", "z"),
     (3, 6): ("x", "y", "z", "rx", "ry", "rz"),
 }
-"""Names of a node's degrees of freedom, by the dimension ndm of the model and their number ndf."""
+"""Names of a node's degrees of freedom, keyed by the model's dimension ndm and their number ndf."""
 _KINDS = {
     1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle6", 8: "hexahedron", 9: "quad9",
     10: "tetra10", 20: "hexahedron20",

@@ -269,8 +269,9 @@ class Solves:
     def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
         """Call the callable at points (n, n_parameters), and return the solves.
 
-        If `keep`, write slow ones to disk. n is 1 unless the callable is batched. The list is empty if the call
-        fails for several points, because the point at fault is then unknown.
+        If `keep`, slow solves and lasting failures are written to the store, which is no longer used once a solve
+        is faster than `least_s`. n is 1 unless the callable is batched. The list is empty if the call fails for
+        several points, because the point at fault is then unknown.
         """
         if self._first is None:
             self._first = theta[0].tobytes()

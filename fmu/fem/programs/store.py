@@ -34,7 +34,7 @@ MOST_SCATTER = 1e-3
 """Largest relative frequency difference between two solves at one theta that is attributed to the solver's
 scatter. Iterative solvers stop at 1e-4 or below; a larger difference means another model."""
 _MOST_TURNED = 0.01
-"""Largest sin² between two shapes: this scatter can rotate a mode that far towards one 1 % away in frequency."""
+"""Largest sin² between two shapes. `MOST_SCATTER` can rotate a mode this far towards a mode 1 % higher."""
 _ROUNDING = 1e-6
 """Relative difference that another processor may cause, too small to change a posterior."""
 _NO_MOTION = 1e-6

@@ -41,9 +41,10 @@ NO_MODES = "the eigenproblem of K and M has no solution"
 
 
 class SingularAnchorError(ValueError):
-    """Raised if K + s M is not positive definite at an anchor point, M is not in a space, or there are no modes.
+    """Raised if some displacement has neither stiffness nor mass, or has negative mass.
 
-    Some displacement then has neither stiffness nor mass, or has negative mass.
+    K + s M is then not positive definite at an anchor point, M is not positive definite for the trial vectors, or
+    no modes can be computed.
 
     Attributes
     ----------

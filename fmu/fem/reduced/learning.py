@@ -257,7 +257,10 @@ class Learner:
 def count_needed(
     full: tuple[FullBlock, ...], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
 ) -> tuple[RankPairing | None, dict[int, int]]:
-    """Return the pairing as fixed ranks, or None if the ranks vary, and the number of modes each block needs."""
+    """Return the pairing as fixed ranks, or None if the ranks vary, and the number of modes each block needs.
+
+    Both follow from the solves at the points that all learners have visited.
+    """
     # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
     n = min(map(len, visited))
