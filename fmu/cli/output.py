@@ -12,7 +12,7 @@ from pathlib import Path
 def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
     """Create an output directory for a block. Remove it if the block fails before anything is written to it.
 
-    Raise ValueError if the directory cannot be written to, or exists with results and `overwrite` is False.
+    Raise ValueError if the directory cannot be written to, or holds files and `overwrite` is False.
     """
     if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
         from fmu.config.kept import ORIGIN

@@ -157,7 +157,7 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return a dict that describes a colour scale for `values`, one fraction per element, NaN if it has none.
+    """Return a dict that describes a colour scale for `values`, one fraction per element or NaN.
 
     The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
     """

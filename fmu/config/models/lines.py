@@ -28,8 +28,8 @@ def mistakes_of_lines(
 ) -> list[ArgumentError]:
     """Return the errors found in the lines for plotting.
 
-    Lines must name known points and parameters. It is an error if a point has no line, or if there are lines
-    although the model has a mesh.
+    Lines must name known points and parameters. It is an error if there are points without any line, or points or
+    lines although the model has a mesh.
     """
     names = [parameter.name for parameter in parameters]
     found = Mistakes()

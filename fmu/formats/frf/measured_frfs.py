@@ -135,7 +135,7 @@ def points_in_order(
 ) -> tuple[Dof, ...]:
     """Return the `given` points or, if none are given, the points `found` in the file.
 
-    Raise ModesError if there are neither, or not `n` points.
+    Raise ModesError if there are no points at all, or not `n` of them.
     """
     points = found if given is None else given
     if points is None:
