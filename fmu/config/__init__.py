@@ -110,9 +110,10 @@ def read(path: Path) -> ProblemFile:
 
 
 def _parse_toml(path: Path) -> dict[str, object]:
-    """Parse a TOML file into a dict. Raise ValueError if the file is invalid TOML or too large.
+    """Parse a TOML file into a dict. Raise ValueError if the file is invalid, too large or too deeply nested.
 
-    Dotted keys are checked first, because the parser's memory grows with the square of their length.
+    Dotted keys with too many parts are refused before parsing, because the parser's memory grows with the square
+    of their length.
     """
     with path.open("rb") as file:
         raw = file.read(LARGEST_FILE + 1)

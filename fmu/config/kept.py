@@ -95,6 +95,8 @@ class KeptProblem:
 def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     """Read the problem and the options that a run saved.
 
+    If either is missing, the result has `model` and no options.
+
     Parameters
     ----------
     directory : Path

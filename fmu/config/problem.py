@@ -66,7 +66,7 @@ class ExportTable(TomlTable):
     plate.inp."""
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
-        """Return an error for each template that cannot be filled with the parameters `names`."""
+        """Return an error for each template that `names` cannot fill, or whose file name is taken."""
         found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):

@@ -241,7 +241,7 @@ class PlacedTest(NamedTuple):
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None = None
 ) -> tuple[list[PlacedTest], list[ArgumentError]]:
-    """Build all tests, and return them with the errors found in their tables."""
+    """Build all tests, and return them with the errors found in their tables. Too many tests are an error too."""
     tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):

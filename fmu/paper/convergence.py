@@ -119,7 +119,10 @@ class Needed:
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
-    """Return the error of each chain's running mean at geometrically increasing lengths."""
+    """Return the error of each chain's running mean at geometrically increasing lengths.
+
+    The running mean of an ensemble is over all its walkers.
+    """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     chains, total, ndim = draws.shape
@@ -146,7 +149,7 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     -----
     The warm-up is unchanged, and the draws are truncated at lengths that increase by the factor `GROWTH`. The
     lengths are examined from the whole run downwards until the first failure, so that a length that passes by
-    chance does not count.
+    chance does not count. If the whole run fails, the result is an empty `Needed`.
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers

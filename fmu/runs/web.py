@@ -291,7 +291,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("X-Content-Type-Options", "nosniff")
 
     def _events(self) -> None:
-        """Send a server-sent event for every reading, until the server is closed."""
+        """Send an event for every reading, or the error if a reading fails, until the server is closed."""
         self.send_response(HTTPStatus.OK)
         self._headers("text/event-stream")
         self.end_headers()

@@ -73,7 +73,10 @@ def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
 
 
 def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
-    """Yield the key and name of each parameter in `value`, a number, name or table at the key `where`."""
+    """Yield the key and name of each parameter in `value`: a number, a name, or a list or table of these.
+
+    The key of `value` itself is `where`.
+    """
     match value:
         case str():
             yield where, value

@@ -100,7 +100,7 @@ class ExportsTable(ModelTable):
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the errors found in the exports and the parameters.
 
-        The first export must give a value for each parameter.
+        The first export must give a value for each parameter. Without exports, no parameter may start at 0.
         """
         names = [parameter.name for parameter in parameters]
         found = Mistakes()

@@ -119,7 +119,11 @@ class FrameTable(ModelTable):
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
-        """Return errors in parameter targets: unknown names or directions, or two parameters for one quantity."""
+        """Return errors in parameter targets.
+
+        They are a missing property, a key that does not belong to the property, unknown names or directions, and
+        two parameters for one quantity.
+        """
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],

@@ -219,7 +219,11 @@ class MatricesTable(ModelTable):
         return f"{where}.{table.source}"
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
-        """Raise BrokenError if matrices differ in size, or if only some files name their degrees of freedom."""
+        """Raise BrokenError if matrices of unnamed rows differ in size, or if the naming of the rows is wrong.
+
+        If `are_named`, each file must name its degrees of freedom, except with `by_mesh`, and `dofs` must not be
+        given. Otherwise `dofs`, if given, must have one name per row.
+        """
         n, found = read[0].matrix.shape[0], Mistakes()
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]

@@ -155,7 +155,7 @@ def _beside(name: str, folder: Path) -> Path | None:
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
     """Within a ``with`` block, search a folder first when importing. Remove its modules afterwards.
 
-    No bytecode is written.
+    Modules of the same name from elsewhere are set aside meanwhile. No bytecode is written.
     """
 
     def of_folder(module: object) -> bool:

@@ -174,7 +174,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
 def _add_entries(
     total: sp.csr_array, places: list[IntArray], entries: list[FloatArray], size: int
 ) -> sp.csr_array:
-    """Return `total` enlarged to `size` rows and columns, with `entries` added at the (row, column) `places`."""
+    """Resize `total` in place to `size` rows and columns. Return it with `entries` added at their `places`."""
     total.resize((size, size))
     if not entries:
         return total

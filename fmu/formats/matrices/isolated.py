@@ -79,7 +79,10 @@ def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str
 
 
 def main() -> None:
-    """Call the reader function given on the command line, and save the arrays that it returns."""
+    """Call the reader function given on the command line, and save the arrays that it returns.
+
+    If it raises an error, print its message to standard error and exit with the code `_TOLD`.
+    """
     name, path, out = sys.argv[1:]
     warnings.simplefilter("ignore")
     try:

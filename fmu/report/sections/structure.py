@@ -52,7 +52,8 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
     """Return a drawing's legend: the parameters of each colour.
 
-    The colour of a parameter is None if the parameter changes no element; it is then left out.
+    The colour of a parameter is None if the parameter changes no element; it is then left out. Drawn elements that
+    no parameter changes have their own entry.
     """
     entries: dict[str, list[str]] = {}
     for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
