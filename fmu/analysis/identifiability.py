@@ -173,7 +173,8 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem with an error model of modes. Inferred standard deviations of errors are held fixed. Test scores,
+        A problem with an error model of modes. Inferred standard deviations of errors are held fixed. With a
+        population, the model is linearised at the population mean, where the test scores are 0. Test scores,
         group effects and unknown covariates are marginalised. The standard deviation, correlations and correlation
         time of a population and the share of outliers are omitted, because they change no mode of a test at the
         population mean. Dates of damage and kinks are omitted too, because they change no mode if the loss or the
@@ -188,8 +189,8 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Raises
     ------
     ValueError
-        If `theta` is not within the bounds, the model has no finite derivative there, or the errors are not errors
-        of modes (the modal residual).
+        If `theta` is not within the bounds, the model has no finite derivative there, or `problem` is not an
+        UpdatingProblem with errors of modes (but with the modal residual, or with FRFs alone).
     """
     if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")

@@ -34,7 +34,8 @@ _limit_blas_threads_once = cache(limit_blas_threads)
 class DaskCluster(RemoteEngine):
     """An engine that runs tasks on a Dask cluster, one task per worker thread.
 
-    Workers may join and leave the cluster. Tasks wait while there are no workers.
+    Workers may join and leave the cluster. Tasks wait while there are no workers. Dask's loggers are silenced
+    until the engine is closed.
 
     Parameters
     ----------

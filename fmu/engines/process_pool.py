@@ -52,7 +52,10 @@ class WorkerProcess:
         self._has: bytes | None = None  # the shared data that were sent last
 
     def give(self, task: Task, shared: bytes) -> None:
-        """Send a task to the worker, preceded by the data that all tasks share unless it already has them."""
+        """Send a task to the worker, preceded by the data that all tasks share unless it already has them.
+
+        If the worker has died, nothing is raised here; `message` reports it.
+        """
         packed = task.pack()
         self.task = task
         with suppress(OSError):  # the worker has died; `message` will return this

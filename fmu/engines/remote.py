@@ -101,7 +101,10 @@ class RemoteEngine(Engine):
 
     @abstractmethod
     def _start(self, waiting: deque[Task], shared: object) -> bool:
-        """Start as many waiting tasks as there are idle workers; return True if any task is running."""
+        """Start as many waiting tasks as there are idle workers, and remove them from `waiting`.
+
+        Return True if any task is running.
+        """
 
     @abstractmethod
     def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
@@ -130,7 +133,8 @@ class Shared:
 def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message], None]) -> bytes:
     """Run a pickled task and return its pickled outcome: (result, exception or None, traceback).
 
-    The task's reports are passed to `send`, at most ten per second.
+    The task's reports are passed to `send`, at most ten per second. An exception that cannot be pickled is
+    replaced by a RuntimeError with its text.
     """
     try:
         work, argument, reports = cloudpickle.loads(task)

@@ -164,7 +164,11 @@ class SimulatedTests:
         return self.updates[choice].real / self.expected[choice]
 
     def table(self) -> pd.DataFrame:
-        """Return a table with the median and 90 % band of the ratios real/expected, one row per choice."""
+        """Return a table with the median and 90 % band of the ratios real/expected, one row per choice.
+
+        The last column, ``real_sd_to_plan``, is the median ratio of the real standard deviation to the one
+        expected from the plan.
+        """
         rows = []
         for name, one in self.updates.items():
             low, middle, high = np.quantile(self.ratios(name), [0.05, 0.5, 0.95])

@@ -166,6 +166,8 @@ def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine
         If the run was stopped; the exception has the trace so far.
     KeyboardInterrupt
         If the stop was requested during the last draw.
+    TooManyFailuresError
+        If the fraction of failed solves exceeds the limit.
     """
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
     from fmu.analysis.convergence.effective import live_diagnostics
@@ -245,11 +247,11 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
 
 
 def examine(task: Task, beginning: Beginning, trace: xr.DataTree, engine: Engine) -> xr.DataTree:
-    """Return the trace with the certificate, the modes, their pairing, identifiability and leave-one-out added.
+    """Return the trace with certificates, modes, pairing, identifiability and the leave-one-out table added.
 
-    The engine solves the full models for the certificate. Identifiability and leave-one-out are left out for a
-    hierarchical problem or one without modal data. If the problem is not an updating problem, its trace is
-    returned unchanged.
+    The engine solves the full models for the certificate of a reduced model. Identifiability and the table are
+    computed only for a problem with modal data that is not hierarchical. If the problem is not an updating
+    problem, its trace is returned unchanged.
     """
     from fmu.analysis.certificate import certify
     from fmu.analysis.frf.certificate import certify_frfs

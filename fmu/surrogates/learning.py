@@ -205,7 +205,7 @@ class _Learner:
         """Return up to 300 distinct draws from the surrogate's posterior, (n, ndim), and two expected errors.
 
         Both are errors of the log-probability, as root mean squares over the posterior. The first is due to the
-        surrogate's own uncertainty, the second to the scatter of the solver.
+        surrogate's own uncertainty, the second to the scatter of the solver. All draws are stored in `drawn`.
         """
         from fmu.analysis.maxima.search import find_map
         from fmu.analysis.maxima.starts import choose_starts, components

@@ -34,7 +34,7 @@ class Agreement(NamedTuple):
         Largest difference between two runs in any mean or standard deviation, divided by its Monte-Carlo standard
         error; NaN if nothing was compared.
     sentence : str
-        One sentence that states the result and the largest difference.
+        The result and the largest difference in words, followed by the names of runs that were left out.
     left_out : tuple of str
         Names of runs that do not meet the convergence criterion. Their standard errors are unreliable, so they
         were not compared.
@@ -49,8 +49,8 @@ class Agreement(NamedTuple):
 def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]) -> Agreement:
     """Compare posterior means and standard deviations between all pairs of runs that meet the criterion.
 
-    Only R-hat and ESS decide which runs are compared, not their verdicts: if two runs each seem to have converged
-    but differ, at least one of them is wrong.
+    Runs agree if no difference reaches `CLOSE` standard errors. Only R-hat and ESS decide which runs are compared,
+    not their verdicts: if two runs each seem to have converged but differ, at least one of them is wrong.
 
     Parameters
     ----------

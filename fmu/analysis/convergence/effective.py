@@ -60,7 +60,7 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
     """Return the tail ESS, the smaller ESS of the 5 % and 95 % quantiles.
 
-    It is also NaN if more than 5 % of the draws equal the largest one.
+    Apart from the module's general cases, it is NaN if more than 5 % of the draws equal the largest one.
     """
     if _is_degenerate(x):
         return np.nan
@@ -387,7 +387,7 @@ def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED_OF_RUNNING) -> tupl
     at : ndarray, shape (n,)
         Numbers of steps.
     rhat : ndarray, shape (n, ndim)
-        R-hat over chains, or over ensembles for an ensemble sampler; NaN if there is only one.
+        R-hat over chains, or over ensembles for an ensemble sampler; NaN if it is undefined (`rhat`).
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

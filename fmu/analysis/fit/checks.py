@@ -272,7 +272,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _tests(trace: xr.DataTree, level: float) -> list[Check]:
-    """Check whether each test is consistent with the other tests; return one `Check` per test."""
+    """Check that no test's residuals are larger than its errors explain; return one `Check` per test."""
     group, every = trace[GROUP].to_dataset(), trace["observed_data"].to_dataset()["of_test"]
     squares = group["squares"].sum("quantity")
     of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())

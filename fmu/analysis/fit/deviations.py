@@ -25,8 +25,8 @@ def deviation_warnings(trace: xr.DataTree) -> list[str]:
     Standard deviations from modal identification describe the scatter within one record. They include neither
     changes between records (temperature, level of vibration) nor the bias of the identification. The warning names
     each mode whose posterior mean frequency differs from the measured one by more than `FAR` standard deviations,
-    but by less than the fraction `NEAR` of the frequency. Inferred standard deviations and repeated tests never
-    cause a warning.
+    but by less than the fraction `NEAR` of the frequency. There is no warning with inferred standard deviations,
+    repeated tests or several tests.
     """
     if not has(trace, "observed_data", "frequency") or not has(trace, "posterior_predictive", "model_frequency"):
         return []

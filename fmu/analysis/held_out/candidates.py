@@ -49,7 +49,8 @@ def gaussians(
 def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
     """Return the quadratic models, each fitted again to the draws around it unless there are too few.
 
-    Draws are weighted by P^(1/4), which gives enough weight to the flanks of the peak, where most draws lie.
+    Draws are weighted by P^(1/4), which gives enough weight to the flanks of the peak, where most draws lie. Draws
+    at which `log_p` is not finite are ignored.
     """
     known = np.isfinite(log_p)
     u, log_p = u[known], log_p[known]

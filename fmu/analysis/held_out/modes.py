@@ -288,7 +288,7 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
 def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOut:
     """Return the prediction of mode `k` from the importance-weighted draws.
 
-    Its numbers are NaN if the weights are unreliable, or if `smoothed` is None.
+    If the weights are unreliable, only `pareto_k` is known. If `smoothed` is None, nothing is known.
     """
     if smoothed is None:
         return HeldOut()

@@ -21,7 +21,10 @@ NEITHER = ""
 
 
 class HeldOut(NamedTuple):
-    """A mode's prediction from the other modes, as a row of the `leave_one_out` table; unknown numbers are NaN."""
+    """A mode's prediction from the other modes, as a row of the `leave_one_out` table.
+
+    Unknown numbers are NaN, except `freedom`, which is then infinite.
+    """
 
     measured: float = np.nan
     mean: float = np.nan

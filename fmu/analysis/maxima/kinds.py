@@ -48,7 +48,8 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
     """Return the kind of point where an ascent ended: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
 
     If the gradient does not vanish, log P is followed along the Newton step of the quadratic model, from 1e-8 to a
-    tenth of the step. Bisection then finds the first point where log P rises less than its gradient predicts.
+    tenth of the step. Bisection then finds the first point where log P rises by less than half of what the
+    quadratic model predicts.
 
     Parameters
     ----------

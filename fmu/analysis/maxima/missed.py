@@ -98,7 +98,7 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     Returns
     -------
     list of str
-        One sentence per maximum with a remedy, and one sentence on where the chains are.
+        One sentence per maximum with a remedy, and one sentence on where the chains are; empty if all is well.
     """
     return compare_shares(trace, maxima).reasons
 

@@ -133,7 +133,10 @@ def find_map(
 
 
 def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
-    """Return the maxima of an updating problem, found with a limit of about `most` solves."""
+    """Return the maxima of an updating problem, found with a limit of about `most` solves.
+
+    If the limit ended the search, `Maxima.doubts` says so.
+    """
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()

@@ -155,9 +155,9 @@ def _shorten(value: object) -> str:
 
 
 def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """Return a model's log-evidence with its standard error, and the reasons why it is unreliable.
+    """Return a model's most reliable log-evidence with its standard error, and the reasons to doubt it.
 
-    Both numbers are NaN if the evidence is unknown.
+    Both numbers are NaN if the evidence is unknown; the reason then says why.
     """
     if is_pseudo(trace):
         return (np.nan, np.nan), (PSEUDO,)

@@ -170,7 +170,10 @@ class Before:
         return self if kept is None else replace(self, draws=self.draws[kept])
 
     def only(self, needed: BoolArray) -> Before:
-        """Return a copy with only the parameters ψ that a mask (P,) selects; the others are marginalised."""
+        """Return a copy with only the parameters ψ that a mask (P,) selects, or `self` if it selects all.
+
+        The other parameters are marginalised.
+        """
         if needed.all():
             return self
         covariance = (self.scale @ self.scale.T)[np.ix_(needed, needed)]

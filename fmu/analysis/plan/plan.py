@@ -133,9 +133,10 @@ def plan(
         budget is too small for one sensor, a cost is not positive, the candidates do not see a mode, no mode moves
         a candidate, the modes are not distinct or the model lacks one, `frequency_sd` has the wrong shape, the
         model gives no mode shapes, `changes` or `min_distance` is given for a model without matrices or
-        coordinates, `like` is not the name of a test, the trace has other parameters, the target names an
-        unknown parameter or depends on none, or a parameter has a separate value in each test. If parameters form
-        populations and the model has a discrepancy, also if there is no trace.
+        coordinates, `like` is not the name of one of several tests, the trace has other parameters, the target
+        names an unknown parameter, depends on none or does not suit the problem, or a parameter has a separate
+        value in each test. If parameters form populations and the model has a discrepancy, also if there is no
+        trace.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)

@@ -154,6 +154,8 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
 
     Raises
     ------
+    TypeError
+        If a variable of the trace holds neither numbers nor text.
     OSError
         If the file cannot be written, for example because the disk is full. An existing file is then unchanged.
     """
@@ -253,7 +255,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return a dataset with bounds, starting point, roles of the parameters, and errors of the frequencies."""
+    """Return a dataset with bounds, starting point, roles of parameters, and weights of the frequencies."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}

@@ -279,7 +279,8 @@ def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
 def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | None) -> dict[str, NDArray[Any]]:
     """Return the blobs at the draws, keyed by name, each of shape (ensembles, draws, ...).
 
-    Raise ValueError if `names` do not fit the blobs, or a blob is not numeric.
+    The dict is empty if none are stored. Raise ValueError if `names` do not fit the blobs or are not valid, or if
+    a blob is not numeric.
     """
     if ensembles[0].blobs is None:
         if names is not None:

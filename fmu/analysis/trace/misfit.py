@@ -25,7 +25,9 @@ TAILS = np.logspace(-6.0, 0.0, 121)
 def misfit_group(
     problem: UpdatingProblem, squares: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return the trace group ``misfit`` in a dict, or an empty dict for the modal residual.
+    """Return the trace group ``misfit`` in a dict.
+
+    The dict is empty if there are no errors of modes or FRFs, or only the modal residual.
 
     Parameters
     ----------

@@ -189,9 +189,11 @@ def _without_sign(sensor: Dof) -> Dof:
 def _components(
     structure: SeparableModel, data: ModalData, shapes: FloatArray, size: FloatArray | None = None
 ) -> dict[str, Any]:
-    """Return computed and measured mode shapes at sensors or single points, as dataset variables.
+    """Return computed and measured mode shapes as dataset variables, or an empty dict if no place has any.
 
-    The computed shapes are divided by `size` (states, n_modes). If it is None, their largest component becomes 1.
+    The places are the sensors or, for a structure without geometry and with at most 40 translations, all
+    translations; measured shapes are NaN where there is no sensor. The computed shapes are divided by `size`
+    (states, n_modes). If it is None, their largest component becomes 1.
     """
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}

@@ -55,7 +55,10 @@ def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
 
 
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
-    """Return the problem's `UpdatingProblem.configuration`, or the stored description of another density."""
+    """Return the problem's `UpdatingProblem.configuration`, or the stored description of another density.
+
+    The dict is empty if the trace stores neither.
+    """
     found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
     return dict(mapping_in(found) or {})
 

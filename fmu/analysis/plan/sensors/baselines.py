@@ -16,8 +16,8 @@ def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits)
     """Choose sensors by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
 
     The candidate that contributes least to the linear independence of the mode shapes is removed repeatedly. Its
-    contribution is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor. Of the limits, only the number of
-    sensors and the mounted ones count.
+    contribution is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor. Budget and minimum distance are
+    ignored.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits)
 
 
 def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Choose the candidates with the most kinetic energy in the modes.
+    """Choose the candidates with the most kinetic energy in the modes; budget and minimum distance are ignored.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> t
     """Choose sensors so that the AutoMAC has small off-diagonal entries (Carne & Dohrmann 1995).
 
     As many candidates as there are modes are chosen by effective independence. Then the candidate that minimises
-    the largest off-diagonal entry is added repeatedly.
+    the largest off-diagonal entry is added repeatedly. Budget and minimum distance are ignored.
     """
     few = Limits(min(limits.count, shapes.shape[1]), limits.mounted, limits.cost)
     found = list(effective_independence(shapes, groups, few))
