@@ -90,8 +90,8 @@ def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a)
     instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
     g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
-    that the first three rungs are evenly spaced in s. If the model fails in part of the prior, the mean at t = 0
-    is taken over the rest, and the log of that prior fraction is added to the integral.
+    that the first three rungs are evenly spaced in s, but is at most 1. If the model fails in part of the prior,
+    the mean at t = 0 is taken over the rest, and the log of that prior fraction is added to the integral.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))

@@ -71,7 +71,7 @@ class Limits(NamedTuple):
         return int(part * warmup), self._replace(first=max(int(part * self.first), 1))
 
     def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
-        """Return the number of steps to draw first after `warmup` warm-up steps that took `solves` solves, at least 1.
+        """Return the number of steps, at least 1, to draw after `warmup` warm-up steps that took `solves` solves.
 
         If warm-up took more solves per step than usual, later steps are assumed to exceed their usual cost by the
         same factor.

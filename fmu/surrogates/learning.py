@@ -315,7 +315,7 @@ class _Learner:
 
 
 def certificate_of(problem: UpdatingProblem) -> SurrogateCertificate:
-    """Return the certificate of the surrogate in a problem."""
+    """Return the certificate of the surrogate in a problem, which must have one."""
     found = problem.model.certificate
     assert isinstance(found, SurrogateCertificate)
     return found

@@ -36,9 +36,9 @@ class Check:
         Probability of a value at least this extreme under a correct model; NaN for mode shapes.
     failed : bool
     shows : str
-        The errors that the check would have revealed; empty if it could reveal none.
+        The errors that would make the check fail, in words.
     sentence : str
-        The evidence of this check against the model, in one sentence.
+        What the check says against the model if it failed, in one sentence.
     why_not : str
         Why the check could not have revealed any error; empty if it could.
     below, above : float

@@ -187,8 +187,8 @@ def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
     """Return the ESS of the fraction of draws at a maximum, given a mask of these draws.
 
-    If no chain changes maxima, the starting points alone determine the fraction, and the result is the number of
-    chains.
+    If no chain enters or leaves the maximum, the starting points alone determine the fraction, and the result is
+    the number of chains. For ensembles it is their number if the ESS is undefined.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))
@@ -330,7 +330,10 @@ class _Paths:
         self.position: FloatArray = position[:, :, ::every].reshape(*self.log_prob.shape, -1).astype(float)
 
     def metric(self) -> FloatArray:
-        """Return W with Wᵀ C W = I, where C is the covariance within the paths, shape (ndim, ndim)."""
+        """Return W with Wᵀ C W = I, where C is the covariance within the paths, shape (ndim, ndim).
+
+        Eigenvalues of the correlation matrix below 1e-8 are raised to this value.
+        """
         ndim = self.position.shape[2]
         within = (self.position - self.position.mean(axis=1, keepdims=True)).reshape(-1, ndim)
         covariance = within.T @ within / len(within)

@@ -134,6 +134,7 @@ class PlainDensity:
         """Return the log-density and its gradient, either exact or by central differences.
 
         If they are not finite, the log-density is set below all values seen so far, and the gradient to zero.
+        Raise ValueError unless the density returns real numbers of the right shapes.
         """
         points = np.atleast_2d(theta)
         if self._has_gradient:

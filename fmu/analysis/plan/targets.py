@@ -139,7 +139,10 @@ class Decision:
 
     @classmethod
     def of(cls, target: Target | None, before: Before) -> Decision | None:
-        """Return the decision that a `DamageTarget` describes, or None for any other target."""
+        """Return the decision that a `DamageTarget` describes, or None for any other target.
+
+        Raise ValueError as `losses_of`.
+        """
         damage = damage_in(target)
         if damage is None:
             return None

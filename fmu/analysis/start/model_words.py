@@ -143,7 +143,10 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 
 
 def _changes(structure: SeparableModel, j: int) -> str:
-    """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``."""
+    """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``, or ``"nothing"``.
+
+    If the elements are unknown or too many, degrees of freedom are counted instead.
+    """
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
     for kind, terms in (("stiffness", structure.K_terms), ("mass", structure.M_terms)):

@@ -73,7 +73,10 @@ class PriorPrediction:
 
     @property
     def is_far(self) -> BoolArray:
-        """Mask of the measured frequencies that are far from their prior prediction, shape (n_modes,)."""
+        """Mask of the measured frequencies more than `FAR` sd from their prediction, shape (n_modes,).
+
+        It is False throughout if there are fewer than two draws.
+        """
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
     def sentences(self) -> list[str]:

@@ -76,7 +76,7 @@ def misfit_group(
 def quantities_group(
     problem: UpdatingProblem, position: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return the trace group ``quantities`` in a dict, or an empty dict if all data are modes.
+    """Return the trace group ``quantities`` in a dict, or an empty dict if no mass or displacement was measured.
 
     Parameters
     ----------
