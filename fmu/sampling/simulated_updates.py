@@ -177,7 +177,7 @@ class SimulatedTests:
         return data_frame(rows, "choice", list(self.updates))
 
     def cases(self) -> pd.DataFrame:
-        """Return a table of the plan's simulated tests and parameters with a ratio outside 0.7 to 1.4, the worst first.
+        """Return a table of simulated tests and parameters with a ratio outside 0.7 to 1.4, the worst first.
 
         The ratio is the real standard deviation divided by the expected one. It is the product of three factors. A
         ratio of NaN is listed too. The columns are:

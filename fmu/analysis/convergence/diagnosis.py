@@ -130,9 +130,10 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Why the run has not converged or, if it has, what limits the verdict.
+        """Why the run has not converged or, if it has, the doubts about the search for maxima.
 
-        If it has, `few` replaces the doubts about the search. `few` and `stopped` are always given.
+        Without doubts, the result of the search stands in for them, and `few` replaces them. `few` and `stopped`
+        follow.
         """
         said = self.reasons
         if self.converged and not self.few:

@@ -60,7 +60,7 @@ def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatA
     """Return the logarithms of Pareto-smoothed weights, (n,), and the Pareto shape k of their tail.
 
     The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, unless k is
-    infinite or NaN. The weights returned sum to 1.
+    infinite or NaN. The weights returned sum to 1; they are NaN if the fitted scale is not positive.
 
     Parameters
     ----------

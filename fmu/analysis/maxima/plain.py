@@ -34,7 +34,10 @@ def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def _tell_where(theta: FloatArray) -> Iterator[None]:
-    """Add a note with the point theta to any error raised in the block, except NotImplementedError."""
+    """Add a note to any error raised in the block, except NotImplementedError.
+
+    The note gives the point theta (1, ndim), or the number of points.
+    """
     try:
         yield
     except NotImplementedError:
@@ -156,7 +159,7 @@ class PlainDensity:
         return value[one], gradient[one]
 
     def _gives_gradients(self) -> bool:
-        """Return True if the density implements a gradient."""
+        """Return True if the density implements a gradient, which is computed at the start to find out."""
         if not hasattr(self.density, "log_prob_and_grad"):
             return False
         try:

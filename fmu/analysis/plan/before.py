@@ -138,9 +138,9 @@ class Before:
         return found[:, self._configuration[1]]
 
     def slopes(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return a function's derivatives with respect to ψ at the draws, by central differences, (n, t, P).
+        """Return a function's derivatives with respect to ψ at the draws, (n, t, P).
 
-        The function maps ψ (n, P) to (n, t).
+        The function maps ψ (n, P) to (n, t). The derivatives are central differences, one-sided at bounds.
         """
         n, p = self.draws.shape
         h = _STEP * np.linalg.norm(self.scale, axis=1)

@@ -158,7 +158,10 @@ def group_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Group channels that exist into candidates; `find_candidates` describes the arguments and errors."""
+    """Group channels that exist into candidates, without excluded places and without mounted channels in `given`.
+
+    `find_candidates` describes the arguments and errors.
+    """
     for key, sensors in (("candidates", given), ("mounted", mounted)):
         twice = (
             next((i for i, one in enumerate(sensors) if one in sensors[:i]), None) if len(sensors) < 100 else None
