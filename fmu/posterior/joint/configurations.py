@@ -164,11 +164,14 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
             shapes[t][:, own] = data.shapes
         if data.shapes_sd is not None:
             shapes_sd[t][:, own] = data.shapes_sd
-        for known, given in ((numbers, data.numbers), (counterparts, data.counterparts)):
+        for name, known, given in (
+            ("number", numbers, data.numbers),
+            ("counterpart", counterparts, data.counterparts),
+        ):
             for mode, value in zip(own.tolist(), given, strict=False):
                 if known.setdefault(mode, value) != value:
                     raise TestsError(
-                        [f"tests: mode {labels[mode]!r} must have one number (got {known[mode]} and {value})"]
+                        [f"tests: mode {labels[mode]!r} must have one {name} (got {known[mode]} and {value})"]
                     )
     lacking = [label for k, label in enumerate(labels) if counterparts and k not in counterparts]
     if lacking:

@@ -210,6 +210,17 @@ def test_shapes_that_cannot_be_compared_are_told(building):
         fmu.JointProblem(building, known, [K1, K2])
 
 
+@pytest.mark.parametrize(("key", "word"), [("numbers", "number"), ("counterparts", "counterpart")])
+def test_tests_that_disagree_on_a_mode_are_told_on_what(building, key, word):
+    f = frequencies((2e6, 2e6))
+    tests = [
+        fmu.Test(name, fmu.ModalData(f, sensors=SENSORS, sd_hz=0.01 * f, **{key: of}))
+        for name, of in (("a", (1, 2)), ("b", (2, 1)))
+    ]
+    with pytest.raises(TestsError, match=rf"tests: mode '1' must have one {word} \(got 1 and 2\)"):
+        fmu.JointProblem(building, tests, [K1, K2])
+
+
 def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
     """One test gives the ratio of stiffness and mass alone; with 300 kg added it gives both."""
     model = fmu.SeparableModel.from_terms(

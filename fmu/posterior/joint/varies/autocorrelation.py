@@ -34,14 +34,15 @@ _LEAST = 1e-3
 _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
 
 
-def times_of(by: str, tests: Sequence[Test]) -> FloatArray:
-    """Return the test times, shape (n_tests,): the covariate `by`, or 1, 2, … in test order if `by` is empty.
+def times_of(by: str, tests: Sequence[Test], here: Sequence[int]) -> FloatArray:
+    """Return the times of the tests with the indices `here`, shape (m,).
 
-    Every test must have the covariate as a number.
+    They are the covariate `by`, which each of these tests must have as a number. If `by` is empty, they are the
+    tests' numbers from 1 in the order of all tests.
     """
     if not by:
-        return np.arange(1.0, len(tests) + 1.0)
-    return np.array([test.covariates[by] for test in tests], dtype=float)
+        return np.array(here) + 1.0
+    return np.array([tests[t].covariates[by] for t in here], dtype=float)
 
 
 def default_prior(times: FloatArray) -> LogNormal:
@@ -115,7 +116,7 @@ class InTime:
         `how` and `by` are the arguments `correlation_time` and `by` of `Population`; the other arguments are as in
         `Varies.in_tests`.
         """
-        times = times_of(by, theta.tests)[list(here)]
+        times = times_of(by, theta.tests, here)
         order = np.argsort(times, kind="stable")
         times = times[order]
         if not isinstance(how, float | int):

@@ -180,6 +180,17 @@ def test_times_that_are_wrong_are_named(change, said):
         spring_problem(tests, fmu.Population(correlation_time=2.0, by="day"))
 
 
+@pytest.mark.parametrize("covariates", [{}, {"day": None}, {"day": fmu.Normal(0.5, mean=1.5)}])
+def test_only_a_test_in_which_the_parameter_is_unknown_needs_a_time(problem, covariates):
+    tests = list(problem.tests)
+    tests[2] = fmu.Test("t2", tests[2].data, covariates=covariates, known={"k": 1.0})
+    found = spring_problem(tests, fmu.Population("log-normal", correlation_time="inferred", by="day"), ["c"])
+    (one,), (with_all,) = found.layout.in_time.every, problem.layout.in_time.every
+    assert one.order.tolist() == with_all.order.tolist()
+    assert one.times.tolist() == with_all.times.tolist()
+    assert np.isfinite(found.log_prob(found.start))
+
+
 def test_a_single_test_and_what_cannot_be_combined_are_refused():
     population = fmu.Population(correlation_time="inferred")
     with pytest.raises(TestsError, match=r"varies.k: varies by test, and needs two tests or more \(got 1\)"):
