@@ -217,22 +217,22 @@ def fit_mixture(points: Points, start: Mixture) -> Mixture:
     4. If the fit is still poor, as along a curved ridge, components take the mean and covariance of their points.
     """
     responsibility = start.responsibilities(points.position)
-    warp = _choose_warp(points, responsibility, start.warp)
+    warp, wide = _choose_warp(points, responsibility, start.warp), start.wide
     before: Sequence[Quadratic] = start.quadratics
     if not np.array_equal(warp.bent, start.warp.bent):  # components use the coordinates of the warp
         before = [warp.quadratic(start.warp.straighten(one)) for one in before]
-    best, share = _settle_components(points, responsibility, warp, before)
+    best, share = _settle_components(points, responsibility, warp, wide, before)
     while share < GOOD and len(best.quadratics) < MOST:
         split = _split_component(points, best)
         if split is None:
             break
-        candidate, reached = _settle_components(points, split[0], warp, split[1])
+        candidate, reached = _settle_components(points, split[0], warp, wide, split[1])
         if reached < share + _GAIN:
             break
         best, share = candidate, reached
     if share < POOR:
         for responsibility in _halve_points(points, warp):
-            candidate, reached = _settle_components(points, responsibility, warp, by_moments=True)
+            candidate, reached = _settle_components(points, responsibility, warp, wide, by_moments=True)
             if reached > share + _GAIN:
                 best, share = candidate, reached
     return best
@@ -308,6 +308,7 @@ def _settle_components(
     points: Points,
     responsibility: FloatArray,
     warp: Warp,
+    wide: float,
     before: Sequence[Quadratic | None] = (),
     *,
     by_moments: bool = False,
@@ -335,7 +336,7 @@ def _settle_components(
             else:
                 continue
             shares.append(w.sum())
-        mixture = Mixture(quadratics, np.array(shares), warp)
+        mixture = Mixture(quadratics, np.array(shares), warp, wide)
         share = float(np.nan_to_num(points.effective_share(mixture.log_density(points.position))))
         if found is None or share > found[1]:
             found = mixture, share

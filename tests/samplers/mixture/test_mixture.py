@@ -310,11 +310,11 @@ def test_a_chain_that_has_not_moved_has_no_component(move):
     assert np.all(np.isfinite(tuner.mixture.log_density(u[:, 0])))
 
 
-def far_apart():
+def far_apart(**settings):
     """Return two maxima, sixteen standard deviations apart, and a tuner that knows the first alone."""
     target = Apart()
-    tuner = MixtureTuner(MixtureSampler(target.components()[:1], local=Slice()), ScaledDensity(target), 2, 100)
-    return target, tuner
+    sampler = MixtureSampler(target.components()[:1], local=Slice(), **settings)
+    return target, MixtureTuner(sampler, ScaledDensity(target), 2, 100)
 
 
 def at(tuner, theta):
@@ -349,6 +349,21 @@ def test_a_maximum_that_was_found_once_joins_the_mixture(who):
     tuner.counts[-1] = 400
     tuner._fit(at(tuner, target.centres))
     assert tuner.mixture.weights == pytest.approx([0.7, 0.3], abs=0.1)
+
+
+def test_every_mixture_of_warm_up_keeps_a_given_share_of_wider_copies():
+    """One fitted to candidates with a new maximum, and one fitted to local draws."""
+    target, tuner = far_apart(wide=0.3)
+    usual = tuner.mixture.draw(np.random.default_rng(1), 200)
+    tuner.drawn = tuner.drawn.with_more(usual, tuner.density.log_prob(usual))
+    tuner.counts[-1] = 200
+    tuner._fit(at(tuner, [target.centres[0], target.centres[1] + 1.5]))
+    assert len(tuner.mixture.quadratics) == 2
+    assert [stage.wide for stage in tuner.stages] == [0.3, 0.3]
+    walked = MixtureTuner(MixtureSampler(local=Slice(), wide=0.3), tuner.density, 2, 100)
+    walked.visited = walked.visited.with_more(usual, tuner.density.log_prob(usual))
+    walked._fit_to_draws()
+    assert walked.mixture.wide == 0.3
 
 
 def test_where_the_mixture_is_far_off_a_chain_still_gives_it_a_component():

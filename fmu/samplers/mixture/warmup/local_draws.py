@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.samplers.mixture.proposal import Mixture, Points, fit_mixture
+from fmu.samplers.mixture.proposal import WIDE, Mixture, Points, fit_mixture
 from fmu.samplers.mixture.quadratic import fit_quadratic
 from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray, IntArray, LogDensity
@@ -37,7 +37,7 @@ class Evaluated(NamedTuple):
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
-def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
+def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity, wide: float = WIDE) -> Mixture:
     """Fit a mixture to the later half of the local draws, with one initial component per group of chains.
 
     Draws far below their chain's median log-density, and chains that have hardly moved, are left out. If no chain
@@ -49,6 +49,8 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
         The draws of all chains at the first step, then at the second step, and so on.
     chains : int
     density : LogDensity
+    wide : float
+        Fraction of each component's weight that goes to its wider copies.
     """
     u, log_prob, slope = (one.reshape(-1, chains, *one.shape[1:]) for one in draws)
     u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
@@ -62,7 +64,7 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
     x, value, of_x = points.under(warp)
     members = [(group == k).astype(float) for k in np.unique(group)]
     each = [fit_quadratic(x, value, member, of_x) for member in members]
-    return fit_mixture(points, Mixture(each, np.sum(members, axis=1), warp))
+    return fit_mixture(points, Mixture(each, np.sum(members, axis=1), warp, wide))
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:

@@ -208,7 +208,7 @@ class MixtureTuner:
 
     def _fit_to_draws(self) -> None:
         """Fit the first mixture to the draws of local steps and make it the current mixture."""
-        self._begin_with(fit_to_draws(self.visited, self.chains, self.density))
+        self._begin_with(fit_to_draws(self.visited, self.chains, self.density, self.sampler.wide or WIDE))
 
     def _fit(self, state: State) -> IntArray | None:
         """Fit the mixture to all candidates so far, importance-weighted by the combined density of all mixtures.
@@ -235,7 +235,8 @@ class MixtureTuner:
         mixture = add_maxima(mixture, new)
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
             with suppress(np.linalg.LinAlgError):
-                mixture = self._better_of(fit_to_draws(self.walked, self.chains, self.density), mixture)
+                walked = fit_to_draws(self.walked, self.chains, self.density, self.sampler.wide or WIDE)
+                mixture = self._better_of(walked, mixture)
         if mixture is not self.mixture:
             lost, more = find_unknown_maxima(mixture, seen, self.target)
             mixture = add_maxima(mixture, lost)
@@ -361,10 +362,10 @@ class MixtureTuner:
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
         """Return the mixture with its final fraction of wider copies.
 
-        The fraction is `wide` if given. Otherwise it becomes `LESS_WIDE` if the fit is good enough for it.
+        The fraction stays `wide` if given. Otherwise it becomes `LESS_WIDE` if the fit is good enough for it.
         """
         if self.sampler.wide is not None:
-            return mixture.with_wide(self.sampler.wide)
+            return mixture
         less = mixture.with_wide(LESS_WIDE)
         return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 

@@ -108,9 +108,8 @@ def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
     if not maxima:
         return mixture
     new = [mixture.warp.quadratic(one.quadratic) for one in maxima]
-    return Mixture(
-        [*mixture.quadratics, *new], np.append(mixture.weights, [one.mass for one in maxima]), mixture.warp
-    )
+    weights = np.append(mixture.weights, [one.mass for one in maxima])
+    return Mixture([*mixture.quadratics, *new], weights, mixture.warp, mixture.wide)
 
 
 class _Counted:
