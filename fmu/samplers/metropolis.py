@@ -106,8 +106,8 @@ class LogNormalWalk:
     Raises
     ------
     ValueError
-        If `scale` is not positive and finite, or a vector `origin` is not finite. When a sample is drawn, also if
-        a vector does not have length ndim, or a position is not above `origin`.
+        If `scale` is not positive and finite, or `origin` is not finite. When a sample is drawn, also if a vector
+        does not have length ndim, or a position is not above `origin`.
     """
 
     scale: ArrayLike = 0.2
@@ -116,6 +116,8 @@ class LogNormalWalk:
     def __post_init__(self) -> None:
         object.__setattr__(self, "scale", positive_scale("scale", self.scale, matrix=False))
         origin = np.asarray(self.origin, dtype=float)
+        if origin.ndim == 0 and not np.isfinite(origin):
+            raise ValueError(f"origin: must be finite (got {self.origin!r})")
         object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:

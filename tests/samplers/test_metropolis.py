@@ -116,6 +116,8 @@ def test_the_acceptance_rate_is_the_probability_of_acceptance():
         (lambda: RandomWalk([[1.0, 0.2], [0.1, 1.0]]), "scale: must be a symmetric positive definite"),
         (lambda: LogNormalWalk([[1.0]]), r"scale: must be a number or a vector \(got shape \(1, 1\)\)"),
         (lambda: LogNormalWalk(0.1, origin=[np.inf, 0]), "origin: must be a vector of finite numbers"),
+        (lambda: LogNormalWalk(0.1, origin=np.nan), r"origin: must be finite \(got nan\)"),
+        (lambda: LogNormalWalk(0.1, origin=-np.inf), r"origin: must be finite \(got -inf\)"),
         (lambda: Independence([0.0, 0.0], [[1.0]]), "covariance: must have length 2"),
         (lambda: Independence(0.0, [[1.0]]), "mean: must be a vector"),
     ],
