@@ -89,10 +89,10 @@ class Frame:
         Raises
         ------
         ValueError
-            If a target does not exist or is updated twice; a factor multiplies a value of zero; a target that is
-            not multiplied by a factor covers stiffnesses in N/m and in N·m/rad; two groups, masses or springs have
-            the same name; an element, support, mass, spring or arm is at a node that does not exist; an element
-            has no length or is parallel to its y direction; a support has an unknown direction; nothing is free;
+            If a target does not exist or is updated twice; a factor multiplies a value of zero; the targets of a
+            parameter that is no factor have values in different units; two groups, masses or springs have the same
+            name; an element, support, mass, spring or arm is at a node that does not exist; an element has no
+            length or is parallel to its y direction; a support has an unknown direction; nothing is free;
             tied nodes do not coincide; or a free node has neither an element nor a mass.
         """
         owned = ownership(updates or {}, self.groups, self.masses, self.springs)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
+from fmu.numbers import names_in_words
 
 Thing = ElementGroup | PointMass | JointSpring
 Target = Sequence[str]
@@ -15,6 +16,8 @@ Target = Sequence[str]
 
 PROPERTIES = ("E", "rho", "A", "Iy", "Iz", "J")
 """Properties of an element group that a parameter may change."""
+_UNITS = dict(zip(PROPERTIES, ("Pa", "kg/m³", "m²", "m⁴", "m⁴", "m⁴"), strict=True))
+_UNITS |= {"mass": "kg", "inertia": "kg·m²", "stiffness": "N/m"}
 ROTATIONS = DIRECTIONS[3:]
 _KIND = dict.fromkeys(PROPERTIES, "group") | {"mass": "mass", "inertia": "mass", "stiffness": "spring"}
 
@@ -95,7 +98,7 @@ def ownership(
     ------
     ValueError
         If names are not distinct, a target does not exist or is updated twice, a factor multiplies a value of
-        zero, or a target of a parameter that is no factor covers stiffnesses in N/m and in N·m/rad.
+        zero, or the targets of a parameter that is no factor have values in different units.
     """
     things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):
@@ -105,11 +108,16 @@ def ownership(
     owner: dict[Quantity, Owner] = {}
     for j, (parameter, targets) in enumerate(updates.items()):
         listed, factor = (targets.targets, True) if isinstance(targets, Factor) else (targets, False)
+        units: dict[str, None] = {}
         for target in listed:
             for quantity in _quantities(parameter, target, things, factor):
                 if quantity in owner:
                     raise ArgumentError(parameter, f"{_in_words(quantity, things)} is updated already")
                 owner[quantity] = Owner(j, factor)
+                units[_unit(quantity)] = None
+        if len(units) > 1 and not factor:
+            rule = f"values in {names_in_words(list(units))} cannot be equal"
+            raise ArgumentError(parameter, f"{rule}: leave some out, name a direction, or use a factor")
     return Ownership(owner, len(updates))
 
 
@@ -130,10 +138,6 @@ def _quantities(
         found = [Quantity(name, i) for i, _ in picked]
     else:
         found = [q for i, thing in picked for q in _by_direction(parameter, name, i, thing, direction)]
-        rotations = {q.direction in ROTATIONS for q in found}
-        if len(rotations) > 1 and not factor:
-            rule = "stiffness in N/m and in N·m/rad cannot have one value: name a direction, or use a factor"
-            raise ArgumentError(parameter, rule)
     if factor:
         for quantity in found:
             if things[kind][quantity.number].value(quantity.direction or name) == 0.0:
@@ -150,6 +154,11 @@ def _by_direction(parameter: str, name: str, i: int, thing: Thing, direction: Se
         if d not in known:
             raise ArgumentError(parameter, f"direction of {thing.name!r} must be one of {known}", repr(d))
     return [Quantity(name, i, d) for d in direction or has]
+
+
+def _unit(quantity: Quantity) -> str:
+    rotates = quantity.property == "stiffness" and quantity.direction in ROTATIONS
+    return "N·m/rad" if rotates else _UNITS[quantity.property]
 
 
 def _in_words(quantity: Quantity, things: Mapping[str, Sequence[Thing]]) -> str:

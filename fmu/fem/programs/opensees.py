@@ -31,7 +31,7 @@ from fmu.engines.program import last_lines
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
-from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.eigensolver import eigen, rank
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
@@ -206,8 +206,8 @@ class OpenSeesModel(BlackBoxModel):
     start : array_like, shape (n_parameters,)
         Parameters at which the model is built once to obtain its degrees of freedom.
     modes : int
-        Number of modes to compute, or all if the model has fewer degrees of freedom. Solves fail if fewer modes
-        have a finite frequency because degrees of freedom have no mass.
+        Number of modes to compute, or all modes of finite frequency if the model has fewer: degrees of freedom
+        without mass give none.
     step, store
         See `BlackBoxModel`.
 
@@ -265,7 +265,7 @@ class ModesInOpenSees:
     ----------
     build : callable
     modes : int
-        Number of modes.
+        Number of modes, or all modes of finite frequency if the model has fewer.
     sensors : tuple of (node, direction)
         Sensors at which shapes are given.
     """
@@ -278,7 +278,8 @@ class ModesInOpenSees:
         """Return a dict of frequencies in Hz, shape (m,), and sensor shapes (None if there are no sensors)."""
         model = export_matrices(self.build, theta)
         with single_thread():
-            eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
+            finite = rank(model.mass)
+            eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, finite), finite)
         shapes = _fixed_model(model).observation(self.sensors) @ phi if self.sensors else None
         return {"frequencies": frequency_hz(eigenvalues), "shapes": shapes}
 

@@ -363,7 +363,8 @@ MISTAKEN = {
     'property = "stiffness"; springs = ["knee"]; directions = ["x"]': (
         "directions: must be among those of knee: rx, ry (got 'x')"
     ),
-    'property = "stiffness"; springs = ["base"]': "stiffness in N/m and in N·m/rad cannot have one value",
+    'property = "stiffness"; springs = ["base"]': "values in N/m and N·m/rad cannot be equal",
+    'property = "stiffness"; springs = ["hanger", "knee"]': "values in N/m and N·m/rad cannot be equal",
     'property = "stiffness"; springs = ["wall"]; scaling = "log"': "scaling: must be 'absolute' or 'factor'",
 }
 

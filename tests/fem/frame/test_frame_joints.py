@@ -270,7 +270,15 @@ MISTAKES = {
     "direction of E": ({"p": [("E", "arm", "x")]}, r"p: E has no direction \(got 'x'\)"),
     "units": (
         {"p": [("stiffness", "foot")]},
-        r"p: stiffness in N/m and in N·m/rad cannot have one value: name a direction, or use a factor",
+        r"p: values in N/m and N·m/rad cannot be equal: leave some out, name a direction, or use a factor",
+    ),
+    "units of two springs": (
+        {"p": [("stiffness", "foot", "z"), ("stiffness", "corner")]},
+        r"p: values in N/m and N·m/rad cannot be equal: leave some out, name a direction, or use a factor",
+    ),
+    "units of two properties": (
+        {"p": [("E", "arm"), ("A", "arm")]},
+        r"p: values in Pa and m² cannot be equal: leave some out, name a direction, or use a factor",
     ),
     "nothing to multiply": (
         {"p": Factor([("inertia", "tip", "rz")])},

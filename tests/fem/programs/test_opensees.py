@@ -150,6 +150,23 @@ def test_a_model_of_another_kind_of_dependence_is_refused_with_its_entries():
     assert_allclose(model.at([1.0]).frequencies, np.sqrt(np.e / 2.0) / (2.0 * np.pi), rtol=1e-12)
 
 
+def test_no_more_modes_are_asked_for_than_have_mass():
+    """The default is 20 modes: of 12 degrees of freedom, four rotations have no mass."""
+
+    def lumped(theta):
+        ops.model("basic", "-ndm", 2, "-ndf", 3)
+        for i in range(5):
+            ops.node(i, float(i), 0.0, "-mass", 3.0, 3.0, 0.0)
+        ops.fix(0, 1, 1, 1)
+        ops.geomTransf("Linear", 1)
+        for i in range(4):
+            ops.element("elasticBeamColumn", i + 1, i, i + 1, A, float(theta[0]), IZ, 1)
+
+    found, there = fmu.OpenSeesModel(lumped, START[:1]).at(START[:1]), export_matrices(lumped, START[:1])
+    inverse = np.linalg.eigvals(np.linalg.solve(there.stiffness.toarray(), there.mass.toarray())).real
+    assert_allclose(found.frequencies, 1.0 / np.sqrt(np.sort(inverse)[:3:-1]) / (2.0 * np.pi), rtol=1e-8)
+
+
 def tied_portal(theta):
     portal([theta[0], theta[0]])
     ops.equalDOF(N + 1, 2 * N + 1, 1)
