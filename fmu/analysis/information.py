@@ -110,7 +110,10 @@ class Information:
         return said
 
     def sentences(self) -> list[str]:
-        """Return sentences on how much the data inform each direction, the least informed one first."""
+        """Return sentences on the number of informed directions and on each uninformed direction.
+
+        If the data inform all directions, the least informed one is named.
+        """
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "

@@ -78,9 +78,10 @@ class PairingChanges:
     def table(self) -> pd.DataFrame:
         """Return a table of pairing changes with one row per measured mode.
 
-        The columns are ``swapped_percent``, the fraction of draws with a reversed order, in %; ``swapped_with``,
-        the labels of these modes; ``other_mode_percent``, the fraction of draws with another computed mode, in %;
-        and ``closest_percent``, the smallest distance in frequency to another mode, in %.
+        The columns are ``swapped_percent``, the largest fraction of draws in which the order with another mode is
+        reversed, in %; ``swapped_with``, the labels of all modes whose order with it is reversed in any draw;
+        ``other_mode_percent``, the fraction of draws with another computed mode, in %; and ``closest_percent``,
+        the smallest distance in frequency to another mode, in %.
         """
         return data_frame(
             {

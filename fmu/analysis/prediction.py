@@ -94,7 +94,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     Returns
     -------
     pandas.DataFrame
-        One row per mode, Hz:
+        One row per mode, Hz, with 90 in the names of the columns replaced by another `ci_prob` in %:
 
         - ``measured``: the measured frequency;
         - ``mean``, its standard error ``mcse_mean``, ``sd``, ``eti90_lb`` and ``eti90_ub``: mean, standard

@@ -122,6 +122,8 @@ def find_effects(
 ) -> Effects:
     """Return the effects of order, covariates and groups on the scores of the tests.
 
+    Covariates that do not vary are skipped, and so are groups if there is only one, or one for each test.
+
     Parameters
     ----------
     scores : ndarray, shape (n_tests, n_parameters)

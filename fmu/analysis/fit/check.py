@@ -68,7 +68,7 @@ class Check:
 
 
 def level_of(checks: Sequence[Check]) -> float:
-    """Return an upper bound on the probability that a correct model fails any of the checks."""
+    """Return an upper bound on the probability that a correct model fails any of the checks, mode shapes apart."""
     return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 

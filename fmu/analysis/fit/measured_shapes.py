@@ -93,7 +93,7 @@ def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
 
 
 def sensor_warnings(trace: xr.DataTree) -> list[str]:
-    """Return warnings about suspect sensors in repeated tests, for at most `MOST_TESTS` tests.
+    """Return warnings about suspect sensors in several tests, for at most `MOST_TESTS` tests.
 
     The model is taken at the posterior mean. Sensors of a single test are described in its report instead.
     """

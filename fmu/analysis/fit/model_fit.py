@@ -79,8 +79,7 @@ class ModelFit:
         there are no checks. If the data do not outnumber the parameters, the model can fit any data that its
         priors allow, so a good fit is no evidence for it. Only a held-out mode, a population or a parameter law
         then tests it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the checks could
-        have failed. Otherwise it is `ALLOWED` if the parameters may scatter between modes, and `NOT_CONTRADICTED`
-        if not.
+        have failed. Otherwise it is `ALLOWED` if the model has a discrepancy, and `NOT_CONTRADICTED` if not.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
@@ -126,8 +125,9 @@ class ModelFit:
     def reasons(self) -> tuple[str, ...]:
         """Reasons for the verdict, one sentence each.
 
-        If checks failed, these are their sentences. Otherwise the reasons state which checks could have failed,
-        how many degrees of freedom are left, and whether a mode was held out.
+        If checks failed, these are their sentences and those on the discrepancy (`said`). Otherwise the reasons
+        state which checks could have failed, how many degrees of freedom are left, and whether a mode was held
+        out.
         """
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)
@@ -158,14 +158,20 @@ class ModelFit:
 
     @property
     def _allowed(self) -> tuple[str, ...]:
-        """Sentences on the scatter that allows for the discrepancy or, without scatter, on how to allow for it."""
+        """Sentences on the discrepancy: how to allow for it if the model is contradicted, otherwise its size.
+
+        The size is also stated if the model is contradicted but no remedy is known.
+        """
         if self.verdict == CONTRADICTED and self.remedy:
             return (f"{self.remedy}.",)
         return tuple(f"{sentence}." for sentence in self.scatter)
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
-        """Sentences that say which of the passed checks could have failed, and which of them test nothing."""
+        """Sentences that say which passed checks could have failed, and which of them test nothing.
+
+        They cover the checks of predictions, residuals, FRFs and mode shapes.
+        """
         said = []
         for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
             telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.below)]

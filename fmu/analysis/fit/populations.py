@@ -62,9 +62,10 @@ _FEW_TESTS = f"fewer than {_FEWEST} tests tell their values, so that no order of
 def population_group(
     problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
 ) -> xr.Dataset:
-    """Return the trace group with the posterior means, standard deviations and correlations of the scores.
+    """Return the trace group of the populations: posterior means and standard deviations of the scores.
 
-    If a population is correlated in time, ``innovation`` has its innovations at the last draw
+    If the populations are correlated, ``correlation`` has their correlations at every draw. If a population is
+    correlated in time, ``innovation`` has its innovations at the last draw
     (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the probability that a
     test is an outlier, and ``outlier_of`` is the probability that it is an outlier of one population.
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
     """Check for each FRF whether noise alone explains the misfit; return one `Check` per FRF that is used.
 
-    At each draw, Σ r² over the lines is chi-square if the model is correct, and P(χ² ≥ Σ r²) is uniform; its mean
-    over the draws is compared with half the level (`fmu.analysis.fit.checks`).
+    At each draw, Σ r² over the lines is chi-square if the model is correct, and P(χ² ≥ Σ r²) is uniform. Its mean
+    over the draws is compared with half the level (`fmu.analysis.fit.checks`), divided by the number of FRFs.
     """
     group = trace[GROUP].to_dataset()
     names, found = [str(name) for name in group["frf"].to_numpy()], []
@@ -63,7 +63,7 @@ def held_out_checks(trace: xr.DataTree, level: float) -> list[Check]:
     """Check the predictions of FRF values not used in updating; return one `Check` per FRF with such values.
 
     The squared distance of these values from their prediction, noise included, is chi-square if the model is
-    correct (`fmu.analysis.frf.predictions`).
+    correct (`fmu.analysis.frf.predictions`). The level is divided by the number of these FRFs.
     """
     group = trace[GROUP].to_dataset()
     tested = group.isel(frf=np.flatnonzero(group["held_freedom"].to_numpy()))

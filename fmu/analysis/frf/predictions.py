@@ -162,8 +162,9 @@ def _compare(
     """Compare the FRF values marked in `held` (n_frfs, n_lines) with their prediction.
 
     Let z be the errors at a draw in standard deviations (real and imaginary parts), z̄ their mean over S draws,
-    and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and
-    z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square.
+    and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and the
+    squared distance z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square. Errors with a Student
+    distribution are first replaced by their normal scores. For an FRF without marked values the distance is NaN.
     """
     squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
     low, _, high = amplitude

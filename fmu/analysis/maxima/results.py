@@ -191,7 +191,11 @@ class Maxima:
 
     @property
     def are_weighed(self) -> bool:
-        """Whether every point with mass is a maximum, and the ESS of its mass estimate is large enough."""
+        """Whether the masses of the maxima are reliable.
+
+        Every point with more than 1 % of the mass must be a maximum, and `effective_draws` must be at least
+        `RELIABLE`.
+        """
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property

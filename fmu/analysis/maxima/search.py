@@ -203,7 +203,8 @@ def _weigh(
     """Compute the curvature and mass of each maximum found.
 
     `solved` and `differentiated` are the numbers of solves and gradients so far. If the solves are limited to
-    `most`, the curvature is the Gauss–Newton matrix, and the remaining solves are spent on the mass.
+    `most`, the curvature for modal errors is the Gauss–Newton matrix, and the remaining solves are spent on the
+    mass, with at least eight draws at each maximum and temperature.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)

@@ -172,7 +172,7 @@ def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.Dat
 def ratio_words(ratios: pd.DataFrame, reference: str) -> list[str]:
     """Return a sentence per model on how much wider its intervals are than those in the reference model.
 
-    Models without a parameter of the reference are left out.
+    Models that share no parameter with the reference are left out.
     """
     said = []
     for name in map(str, ratios.columns):

@@ -163,7 +163,10 @@ class Check:
         return self.modes.correlation.table().map(fixed, places=2).reset_index()
 
     def prior_table(self) -> pd.DataFrame:
-        """Return a text table with the measured frequencies and their prior predictions, Hz."""
+        """Return a text table with the measured frequencies, their prior predictions, Hz, and the distances.
+
+        The distances are in standard deviations.
+        """
         table = self.prior.table()
         shown = table[["measured"]].map(given)
         shown["prior prediction"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]

@@ -28,7 +28,10 @@ _SAME_MASS = 1.1
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Return sentences on a problem's model: its size, decoupled blocks, mass and reduced model."""
+    """Return sentences on a problem's model: its size, blocks, mass, parameters not updated, and reduced model.
+
+    For several tests, or a model without matrices, there are fewer.
+    """
     model = structure_of(problem.model)
     if len(problem.tests) > 1:
         n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))

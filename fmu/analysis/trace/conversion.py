@@ -93,7 +93,7 @@ def to_trace(
         - ``sample_stats`` and ``warmup_sample_stats``: statistics of the sampler;
         - ``log_likelihood``: ``frequency``, or ``residual`` for the modal residual, one value per used mode; with
           correlated errors also ``frequency_given_others``; with FRFs also ``frfs``;
-        - ``misfit``: see `fmu.analysis.trace.misfit`;
+        - ``misfit``, and ``quantities`` for masses and displacements: see `fmu.analysis.trace.misfit`;
         - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
           ``frequency`` with measurement noise, except under the modal residual, which has no noise. For repeated
           tests ``frequency`` is the mean over as many new tests, and ``one_more_test`` is a single test;
@@ -105,7 +105,8 @@ def to_trace(
           errors; with several tests also each parameter's ``role``;
         - ``tempering``, for parallel tempering: see `fmu.analysis.evidence_estimators.tempering_group`;
         - ``tests``, for several tests (`fmu.JointProblem`): the structural parameters in every test (chain, draw,
-          test); ``populations``, ``loss``, ``loss_by_test`` and ``residual_scores``, if the problem has them;
+          test); ``populations``, ``loss``, ``loss_by_test`` and ``residual_scores``, if the problem has them; and
+          ``structure``, the drawing of the structure;
         - ``next_test``, for a hierarchical posterior: the frequencies of one more test like the first,
           ``frequency`` with measurement noise and ``model_frequency`` without.
 
@@ -283,7 +284,7 @@ def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
 def _frequency_groups(
     result: RunResult, problem: Any, frequency: FloatArray | None = None
 ) -> dict[str, xr.Dataset]:
-    """Return the trace groups that need computed frequencies; each distinct draw is solved at most once."""
+    """Return the trace groups that need computed frequencies; repeated draws are not solved again."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
