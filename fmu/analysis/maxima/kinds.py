@@ -49,7 +49,7 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
 
     If the gradient does not vanish, log P is followed along the Newton step of the quadratic model, from 1e-8 to a
     tenth of the step. Bisection then finds the first point where log P rises by less than half of what the
-    quadratic model predicts.
+    quadratic model predicts. If there is no such point, the kind is `SLOPE`.
 
     Parameters
     ----------

@@ -70,7 +70,10 @@ class GradientCheck:
         return self.largest <= AGREE
 
     def sentence(self) -> str:
-        """Return a sentence on how well gradient and differences agree, and where they differ most."""
+        """Return a sentence on how well gradient and differences agree, and where they differ most.
+
+        If an error is not finite, the sentence says where.
+        """
         errors = self.relative_error
         if not np.all(np.isfinite(errors)):
             i, j = np.argwhere(~np.isfinite(errors))[0]

@@ -48,9 +48,9 @@ def from_netcdf(path: str | os.PathLike[str]) -> xr.DataTree:
     Raises
     ------
     OSError
-        If the file cannot be read.
+        If the file cannot be read, or is not an HDF5 file.
     ValueError
-        If the file is not a netCDF-4 file.
+        If it is an HDF5 file, but not a netCDF-4 file.
     """
     import h5py
     import xarray as xr
