@@ -139,6 +139,23 @@ def modes_chosen(
     return MeasuredModes(frequencies[at], labels, None, places, None if shapes is None else shapes[:, at])
 
 
+def check_sensors(name: str, sensors: Sequence[Dof], there: Sequence[Dof]) -> None:
+    """Raise ModesError if a sensor is not `there`, among the places and directions with values in a file.
+
+    A minus sign before a sensor's direction is ignored.
+    """
+    directions: dict[Hashable, dict[str, None]] = {}
+    for place, direction in there:
+        directions.setdefault(place, {})[direction] = None
+    for place, direction in sensors:
+        if place not in directions:
+            places = names_shown(list(directions))
+            raise ModesError(name, [f"sensors: must be at places in the file, {places} (got {quote(place)})"])
+        if direction.removeprefix("-") not in directions[place]:
+            along = ", ".join(directions[place])
+            raise ModesError(name, [f"sensors: must be along {along} at {quote(place)} (got {quote(direction)})"])
+
+
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 

@@ -33,6 +33,7 @@ from fmu.formats.modes.measured_modes import (
     ModesFormat,
     Place,
     Sensors,
+    check_sensors,
     checked_file,
     is_node,
     real_shapes,
@@ -75,8 +76,8 @@ def read_uff(
         Numbers of the modes to use, in this order; by default all, in file order.
     sensors : sequence of (place, direction), optional
         Places and measured directions, which may have a minus sign. The default is every place and direction with
-        a nonzero component in at least one mode: the format fills directions that were not measured with zeros. A
-        sensor that the file lacks has zeros too.
+        a nonzero component in at least one mode: the format fills unmeasured directions with zeros. A node that
+        some modes lack stands still in them.
     least_mpc : float
         Smallest phase collinearity of complex shapes, which are converted to real shapes; see
         `fmu.formats.modes.measured_modes.real_shapes`.
@@ -94,8 +95,8 @@ def read_uff(
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file cannot be read, has no modes, a mode twice or not the given modes or nodes; if a frequency is
-        not above 0 Hz; or if a shape is zero, or its phase collinearity is below `least_mpc`.
+        If the file cannot be read, has no modes, a mode twice or not the given modes, nodes or sensors; if a
+        frequency is not above 0 Hz; or if a shape is zero, or its phase collinearity is below `least_mpc`.
     """
     mode_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
@@ -111,6 +112,7 @@ def read_uff(
     place_of = _places(file, nodes, mode_sets)
     values = {number: _values(mode, place_of) for number, mode in by_number.items()}
     seen = _find_moving(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
+    check_sensors(file.name, seen, [sensor for mode in values.values() for sensor in mode])
     table = np.array([[_at(values[number], sensor) for number in chosen] for sensor in seen])
     frequencies = np.array([_frequency(by_number[number]) for number in chosen])
     wrong = [f"{n} at {f} Hz" for n, f in zip(chosen, frequencies, strict=True) if not f > 0]
@@ -123,8 +125,7 @@ def read_uff(
     except ValueError as error:
         raise ModesError(file.name, [str(error)]) from None
     is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
-    labels, sensors = tuple(map(str, chosen)), tuple(seen)
-    found = MeasuredModes(frequencies, labels, None, sensors, shapes, mpc=mpc)
+    found = MeasuredModes(frequencies, tuple(map(str, chosen)), None, tuple(seen), shapes, mpc=mpc)
     return found if is_complex else replace(found, shapes=table.real, mpc=None)
 
 

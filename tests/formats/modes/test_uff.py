@@ -115,6 +115,11 @@ def test_a_node_that_stands_still_in_a_mode_may_be_left_out_there(tmp_path):
     assert_allclose(modes.shapes, [[1.0, 0.0], [0.0, 3.0]])
 
 
+def test_a_direction_of_a_node_may_be_zero_in_all_modes(tmp_path):
+    modes = read_uff(written(tmp_path / "modes.uff", a_set()), sensors=[(11, "x"), (11, "-z")])
+    assert_allclose(modes.shapes, [[1.0], [0.0]])
+
+
 @pytest.mark.parametrize(
     ("sets", "options", "message"),
     [
@@ -125,6 +130,13 @@ def test_a_node_that_stands_still_in_a_mode_may_be_left_out_there(tmp_path):
         ([a_set()], {"nodes": {12: "tip"}}, r"nodes: must be some of \[11\] \(got \[12\]\)"),
         ([a_set(frequency=0.0)], {}, r"modes: must have frequencies above 0 Hz \(got 1 at 0\.0 Hz\)"),
         ([a_set(values=[[0, 0, 0]])], {}, r"shapes: must move at one of the nodes \(got zeros\)"),
+        ([a_set()], {"sensors": [(11, "x"), (99, "z")]}, r"sensors: must be at places in the file, 11 \(got 99\)"),
+        (
+            [a_set(), a_set(2, nodes=(12,))],
+            {"sensors": [(11, "x"), (12, "-rz")], "nodes": {11: "tip", 12: "middle"}},
+            r"sensors: must be at places in the file, tip, middle \(got 11\)",
+        ),
+        ([a_set()], {"sensors": [(11, "x"), (11, "-rz")]}, r"sensors: must be along x, y, z at 11 \(got '-rz'\)"),
         ([a_set()], {"sensors": [(11, "y")]}, r"shapes: must be finite, and no mode zero at every sensor"),
         ([a_set(analysis_type=5, freq_step_n=1)], {}, r"must have mode shapes, dataset 55 .* \(got none\)"),
     ],
