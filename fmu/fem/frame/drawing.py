@@ -142,7 +142,7 @@ def draw_svg(
     str
         An SVG element.
     """
-    view, kinds = _view(structure.nodes).T, np.array(structure.kinds)
+    view, kinds = view_of(structure.nodes).T, np.array(structure.kinds)
     tips = structure.ends[kinds == "arm"]
     n, fit = len(structure.nodes), _fit(np.concatenate([structure.nodes, tips]) @ view)
     place, places, ends = (fit(x @ view) for x in (structure.nodes, structure.places, structure.ends))
@@ -235,22 +235,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     return changed
 
 
-def _pointing(direction: str) -> FloatArray:
-    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``, or NaN for a rotation."""
-    if direction[-2:] in _ROTATIONS:
-        return np.full(3, np.nan)
-    unit = np.zeros(3)
-    unit[_AXES.index(direction[-1])] = -1.0 if direction.startswith("-") else 1.0
-    return unit
-
-
-def _geometry(model: SeparableModel) -> Geometry:
-    if model.geometry is None:
-        raise ValueError("model: must have a geometry to be drawn (got none)")
-    return model.geometry
-
-
-def _view(nodes: FloatArray) -> FloatArray:
+def view_of(nodes: FloatArray) -> FloatArray:
     """Return the two axes of the plot, shape (2, 3).
 
     Plane structures are viewed face-on, straight ones from a side, and all others from a corner.
@@ -264,6 +249,21 @@ def _view(nodes: FloatArray) -> FloatArray:
     if is_flat[2]:
         return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
+
+
+def _pointing(direction: str) -> FloatArray:
+    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``, or NaN for a rotation."""
+    if direction[-2:] in _ROTATIONS:
+        return np.full(3, np.nan)
+    unit = np.zeros(3)
+    unit[_AXES.index(direction[-1])] = -1.0 if direction.startswith("-") else 1.0
+    return unit
+
+
+def _geometry(model: SeparableModel) -> Geometry:
+    if model.geometry is None:
+        raise ValueError("model: must have a geometry to be drawn (got none)")
+    return model.geometry
 
 
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:

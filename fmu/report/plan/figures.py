@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.plan.result import PLANNED, Plan
+from fmu.fem.frame.drawing import view_of
 from fmu.fem.modes.separable import SeparableModel
 from fmu.report.plots import style
 from fmu.sampling.simulated_updates import SimulatedTests
-from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,17 +68,6 @@ def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
     axes.set_aspect("equal")
     axes.axis("off")
     return axes
-
-
-def view_of(nodes: FloatArray) -> FloatArray:
-    """Return the two axes of the view, shape (2, 3): face-on if the structure is plane, otherwise oblique."""
-    extent = np.ptp(nodes, axis=0)
-    flat = extent <= 1e-6 * extent.max()
-    if not flat.any():
-        return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
-    if flat[1] or flat.sum() == 2:
-        return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) if extent[2] >= 0.0 else np.eye(3)[:2]
-    return np.eye(3)[:2] if flat[2] else np.eye(3)[1:]
 
 
 def plot_information(plan: Plan) -> Axes:
