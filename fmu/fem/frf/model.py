@@ -37,11 +37,12 @@ class Damping:
     alpha, beta, loss : Source
         Rayleigh's α in 1/s and β in s, and the loss factor of the whole structure.
     ratios : tuple of Source
-        Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too. Not
-        used if the damping couples the modes.
+        Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
+        There must be none if the damping couples the modes.
     losses : dict of int to Source
-        Loss factor of the stiffness that a model parameter scales, keyed by the parameter's index. All other
-        stiffness has the loss factor `loss`.
+        Loss factor of the stiffness that a model parameter scales, keyed by the parameter's index. Parameters
+        that scale the same stiffness must have the same loss factor. All other stiffness has the loss factor
+        `loss`.
     dashpots : tuple of (sparse, Source)
         Matrix (n_dof, n_dof) of each dashpot, and its coefficient in N·s/m.
     """
@@ -206,10 +207,7 @@ class FRFModel:
         return np.asarray(block.coordinates(self.rows))
 
     def _damping_of(self, block: ReducedBlock) -> ProportionalDamping | GeneralDamping:
-        """Return the damping projected onto the basis of `block`.
-
-        A stiffness term that several parameters with loss factors scale has the loss factor of the first.
-        """
+        """Return the damping projected onto the basis of `block`."""
         given = self.damping
         if not given.couples_modes:
             return ProportionalDamping(
@@ -218,8 +216,8 @@ class FRFModel:
         own = dict(given.losses or {})
         losses = []
         for term in self.full.K_terms:
-            named = [own[j] for j, power in enumerate(term.powers) if power and j in own]
-            losses.append(named[0] if named else given.loss)
+            named = (own[j] for j, power in enumerate(term.powers) if power and j in own)
+            losses.append(next(named, given.loss))
         V, dofs = block.basis, self.full.dofs
         dashpots = [V.T @ (matrix[dofs][:, dofs] @ V) for matrix, _ in given.dashpots]
         r = V.shape[1]

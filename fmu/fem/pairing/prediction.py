@@ -36,8 +36,6 @@ class ModalPrediction:
     frequency_variance, shape_variance : ndarray, shaped like frequencies (Hz²) and shapes, or None
         Variances of a surrogate's errors, which are mutually independent; None if the model is no surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
-    frequency_variance_by_noise : ndarray, shape (n, n_modes, n_noise), or None
-        Derivatives of a discrepancy's variances with respect to inferred standard deviations.
     """
 
     frequencies: FloatArray
@@ -48,7 +46,6 @@ class ModalPrediction:
     shape_variance: FloatArray | None = None
     frequency_variance_slopes: FloatArray | None = None
     shape_variance_slopes: FloatArray | None = None
-    frequency_variance_by_noise: FloatArray | None = None
 
     @property
     def failed(self) -> BoolArray:

@@ -18,7 +18,7 @@ from fmu.fem.frf.model import Damping
 from fmu.fem.frf.proportional import Source
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
-from fmu.numbers import typed
+from fmu.numbers import names_in_words, typed
 from fmu.plain_data import mapping_in
 from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
 from fmu.types import NotNegative, Plain
@@ -75,7 +75,8 @@ class StructuralDamping:
         Loss factor η of all stiffness that is not listed in `of`.
     of : mapping of str to float or Parameter
         Loss factor of the stiffness that a model parameter scales, keyed by parameter name. It couples the modes
-        of the undamped structure.
+        of the undamped structure. Parameters that scale the same stiffness, such as E and Iy of a beam, must not
+        have different loss factors.
 
     Raises
     ------
@@ -178,8 +179,9 @@ def bind_damping(
     ------
     ValueError
         If there is no damping, a parameter can be negative, a named parameter is unknown or does not change the
-        stiffness, an end of a dashpot does not move, a matrix does not fit, two damping models are of one kind
-        (dashpots and matrices may be), or modal ratios are combined with damping that couples the modes.
+        stiffness, parameters that scale the same stiffness have different loss factors, an end of a dashpot does
+        not move, a matrix does not fit, two damping models are of one kind (dashpots and matrices may be), or
+        modal ratios are combined with damping that couples the modes.
     """
     models: list[DampingModel] = as_list(given)
     inferred = inferred_in(models)
@@ -211,6 +213,7 @@ def bind_damping(
                 loss = source(one.loss)
                 for name, factor in one.of.items():
                     losses[_stiffness_of(model, names, name)] = source(factor)
+                _require_one_loss(losses, model, names)
             case Dashpot():
                 ends = [one.at] if one.to is None else [one.at, one.to]
                 seen = model.observation([(places.get(str(place), place), way) for place, way in ends])
@@ -249,6 +252,19 @@ def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
         else:
             found[key] = value_or_name(value)
     return found
+
+
+def _require_one_loss(losses: Mapping[int, Source], model: SeparableModel, names: Sequence[str]) -> None:
+    """Raise ArgumentError if parameters with different loss factors scale the same stiffness."""
+    for term in model.K_terms:
+        here = [j for j in sorted(losses) if term.powers[j]]
+        if len({losses[j] for j in here}) > 1:
+            raise ArgumentError(
+                "damping.of",
+                "must give stiffness that several parameters scale one loss factor: list one of them, or the same "
+                "factor for all",
+                f"those of {names_in_words([names[j] for j in here])}",
+            )
 
 
 def _stiffness_of(model: SeparableModel, names: Sequence[str], name: str) -> int:

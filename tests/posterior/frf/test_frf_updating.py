@@ -7,6 +7,8 @@ import pytest
 import scipy.linalg
 
 import fmu
+from fmu.fem.frf.proportional import Source
+from fmu.posterior.frf.damping import bind_damping
 from tests.measured_frfs import (
     LINES,
     POINTS,
@@ -191,6 +193,18 @@ def replaced(**options):
 def test_wrong_settings_say_what_is_wrong(options, message):
     with pytest.raises(ValueError, match=message):
         fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FRFErrors(**replaced(**options)))
+
+
+def test_stiffness_that_two_parameters_scale_has_one_loss_factor():
+    model = fmu.SeparableModel([fmu.Term([[5.0]], (1, 1)), fmu.Term([[3.0]], (1, 0))], [fmu.Term([[2.0]], (0, 0))])
+
+    def bound(**factors):
+        return bind_damping(fmu.StructuralDamping(0.01, factors), model, ["E", "I"], {})
+
+    with pytest.raises(ValueError, match=r"damping.of: must give .* one loss factor.* \(got those of E and I\)"):
+        bound(I=0.03, E=0.02)
+    assert bound(E=0.02, I=0.02).losses == {0: Source(0.02), 1: Source(0.02)}
+    assert bound(I=0.03).losses == {1: Source(0.03)}
 
 
 def test_a_damping_matrix_must_be_symmetric_and_square():
