@@ -218,7 +218,14 @@ class FrequencyTerm(ErrorTerm):
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measurements, (n, n_modes), in Hz. Eigenvalue errors below −0.99 are set to −0.99."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))
-        error = sd * rng.standard_normal(frequencies.shape)
+        return self._add_errors(frequencies, sd * self._standard_errors(rng, frequencies.shape, noise))
+
+    def _standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
+        """Return random errors divided by their scales: standard normal values."""
+        return rng.standard_normal(shape)
+
+    def _add_errors(self, frequencies: FloatArray, error: FloatArray) -> FloatArray:
+        """Return the measured frequencies, (n, n_modes), in Hz, of computed frequencies with the errors ε."""
         if self.kind == "eigenvalue":
             # the measured frequency with this error ε, which exists only for ε above −1
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
@@ -238,11 +245,11 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred (as Gaussian errors) to frequencies (n, n_modes)."""
-        if self.is_known:
+        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), in Hz."""
+        if not self.spread.sizes:
             return frequencies
-        inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))
-        return FrequencyTerm(self.kind, self.measured, inferred).simulate(rng, frequencies, noise)
+        sd = np.sqrt(replace(self.spread, fixed=np.zeros_like(self.spread.fixed)).variance(noise))
+        return self._add_errors(frequencies, sd * self._standard_errors(rng, frequencies.shape, noise))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""

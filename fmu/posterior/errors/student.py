@@ -150,13 +150,9 @@ class StudentTerm(FrequencyTerm):
             found[:, self._number, self._number] += n * np.maximum(each, 0.0)
         return found
 
-    def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measurements, (n, n_modes), in Hz. Eigenvalue errors below −0.99 are set to −0.99."""
-        nu = self._freedom if self._number is None else self._nu(noise)
-        error = np.sqrt(self.spread.variance(noise)) * rng.standard_t(nu, frequencies.shape)
-        if self.kind == "eigenvalue":
-            return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
-        return np.asarray(frequencies + error)
+    def _standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
+        """Return random errors divided by their scales: values of Student's t."""
+        return np.asarray(rng.standard_t(self._freedom if self._number is None else self._nu(noise), shape))
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the error model's name and settings as a dict."""

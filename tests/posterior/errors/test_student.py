@@ -59,6 +59,23 @@ def test_simulated_errors_have_the_density(building):
     assert scipy.stats.kstest(normal, "norm").pvalue > 1e-3
 
 
+def test_a_further_test_has_inferred_errors_of_student_and_no_known_ones(building):
+    """The errors of the tests themselves come from their scatter."""
+    f, rng = measured(building), np.random.default_rng(2)
+    data = fmu.ModalData.from_tests(f * [[0.99, 1.0], [1.0, 1.01], [1.01, 0.99]])
+    known, inferred = (
+        fmu.UpdatingProblem(building, data, PARAMETERS, pairing="index", error=errors)
+        for errors in (fmu.StudentErrors(freedom=2.5), fmu.StudentErrors(freedom=2.5, model_sd=SCALE))
+    )
+    computed = np.tile(f, (4000, 1))
+    scatter = data.tests.simulate(np.random.default_rng(3), len(computed))
+    assert_allclose(known.simulate_test(np.random.default_rng(3), computed) - computed, scatter, atol=1e-12)
+    theta = np.tile([1.0, 1.0, 0.02], (len(computed), 1))
+    noisy = inferred.likelihood.simulate_discrepancy(rng, computed, theta[:, 2:])
+    scores = (noisy - computed) / (0.02 * np.asarray(data.frequencies_hz))
+    assert scipy.stats.kstest(scores.ravel(), scipy.stats.t(2.5).cdf).pvalue > 1e-3
+
+
 @pytest.mark.parametrize(
     ("settings", "rule"),
     [
