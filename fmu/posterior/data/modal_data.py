@@ -328,7 +328,10 @@ class ModalData:
         return cls(**(vars(modes) | own | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
-        """Return the same modes with other frequencies (n_modes,) in Hz. Modes with frequency NaN are left out."""
+        """Return the same modes with other frequencies (n_modes,) in Hz.
+
+        Modes with frequency NaN are left out, also of `tests`.
+        """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
@@ -337,7 +340,9 @@ class ModalData:
         def along_modes(values: ArrayLike | None) -> FloatArray | None:
             return None if values is None else np.asarray(values)[..., at]
 
-        covariance = along_modes(self.covariance_hz2)
+        covariance, tests = along_modes(self.covariance_hz2), self.tests
+        if tests is not None:
+            tests = replace(tests, frequencies_hz=np.asarray(tests.frequencies_hz)[:, at])
         return replace(
             self,
             frequencies_hz=frequencies_hz[at],
@@ -348,6 +353,7 @@ class ModalData:
             covariance_hz2=None if covariance is None else covariance[at],
             shapes_sd=along_modes(self.shapes_sd),
             counterparts=of(self.counterparts),
+            tests=tests,
             use=of(self.use),
             mpc=along_modes(self.mpc),
         )

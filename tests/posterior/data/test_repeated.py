@@ -186,6 +186,14 @@ def test_data_from_tests():
     assert joint.covariance_hz2.shape == (2, 2)
 
 
+def test_a_missed_mode_is_left_out_of_the_tests_too():
+    data = ModalData.from_tests(TESTS)
+    left = data.with_frequencies(np.array([np.nan, *np.asarray(data.frequencies_hz)[1:]]))
+    assert left.labels == data.labels[1:]
+    assert_allclose(left.tests.frequencies_hz, TESTS[:, 1:])
+    assert_allclose(left.tests.mean().sd_hz, left.sd_hz)
+
+
 @pytest.mark.parametrize(
     ("frequencies", "scatter", "message"),
     [
