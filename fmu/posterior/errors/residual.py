@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,9 @@ class ModalResidual(Likelihood):
     Raises
     ------
     ValueError
-        If no shapes were measured, a sensor is not a degree of freedom, a β is not positive and finite, the number
-        of β is wrong, or the model is a mechanism when the degrees of freedom at the sensors are fixed.
+        If no shapes were measured, a sensor is not a degree of freedom, two sensors are at the same one, a β is
+        not positive and finite, the number of β is wrong, or the model is a mechanism when the degrees of freedom
+        at the sensors are fixed.
 
     Notes
     -----
@@ -58,7 +60,7 @@ class ModalResidual(Likelihood):
         if data.shapes is None:
             raise ArgumentError("data.shapes", "the modal residual needs measured shapes at the sensors", "none")
         self.beta: FloatArray = checked_beta(beta, data.n_modes)
-        sensors = _masters(model.observation(data.sensors))
+        sensors = _masters(model, data.sensors)
         part = np.sort(np.concatenate([dofs for dofs in model.blocks if np.isin(sensors, dofs).any()]))
         order = np.concatenate([sensors, np.setdiff1d(part, sensors)])
         self._K_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.K_terms)
@@ -145,13 +147,20 @@ class ModalResidual(Likelihood):
         return self._terms(residual), -2.0 * (self.beta / self._scale**2)[:, None] * slope
 
 
-def _masters(rows: Any) -> NDArray[np.intp]:
+def _masters(model: SeparableModel, sensors: Sequence[tuple[Any, str]]) -> NDArray[np.intp]:
     """Return the degree-of-freedom index at each sensor, shape (n_sensors,).
 
-    Raise ValueError if a sensor does not read exactly one degree of freedom with the factor 1.
+    Raise ValueError if a sensor does not read exactly one degree of freedom with the factor 1, or two sensors read
+    the same one.
     """
+    rows = model.observation(sensors)
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
         raise ArgumentError(
             "sensors", "for the modal residual they must be degrees of freedom, without arms or signs"
         )
-    return np.asarray(rows.indices, dtype=np.intp)
+    found = np.asarray(rows.indices, dtype=np.intp)
+    twice = next((k for k, dof in enumerate(found) if dof in found[:k]), None)
+    if twice is not None:
+        rule = "for the modal residual they must be at different degrees of freedom; average those at the same one"
+        raise ArgumentError("sensors", rule, sensors[twice])
+    return found

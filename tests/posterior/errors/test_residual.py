@@ -130,6 +130,10 @@ def test_wrong_input(beam, data):
         ValueError, match=r"^data\.shapes: the modal residual needs measured shapes at the sensors \(got none\)$"
     ):
         ModalResidual(beam, bare, THETA)
+    # with a sensor that is counted twice, no residual vanishes at the model's own modes
+    twice = ModalData(data.frequencies_hz, sensors=(*SENSORS, SENSORS[1]), shapes=data.shapes[[0, 1, 2, 3, 1]])
+    with pytest.raises(ValueError, match=r"sensors: .* different degrees of freedom; .* \(got \(4, 'z'\)\)$"):
+        ModalResidual(beam, twice, THETA)
     for beta, message in (
         ([1.0], r"beta: must be a number or 3 numbers \(got shape \(1,\)\)"),
         ([1.0, 1.0, -1.0], r"beta: must be positive and finite \(got \[1\.0, 1\.0, -1\.0\]\)"),
