@@ -163,11 +163,11 @@ def group_candidates(
     `find_candidates` describes the arguments and errors.
     """
     for key, sensors in (("candidates", given), ("mounted", mounted)):
-        twice = (
-            next((i for i, one in enumerate(sensors) if one in sensors[:i]), None) if len(sensors) < 100 else None
-        )
-        if twice is not None:
-            raise ArgumentError(f"{key}.{twice}", "must be given once", repr(list(sensors[twice])))
+        seen: set[Dof] = set()
+        for i, (place, direction) in enumerate(sensors):
+            if (place, direction) in seen:
+                raise ArgumentError(f"{key}.{i}", "must be given once", repr([place, direction]))
+            seen.add((place, direction))
     fixed = [(place, direction) for place, direction in mounted]
     free = [dof for dof in dict.fromkeys(given) if dof[0] not in exclude and dof not in fixed]
     if not free:

@@ -176,6 +176,7 @@ def test_customary_choices_keep_to_the_budget(tower):
         ({"mounted": [(9, "x")]}, r"mounted\.0: must be a place and a direction that are free to move"),
         ({"candidates": [(0, "x"), (4, "y")]}, r"candidates\.1: must be a place and a direction that are free"),
         ({"candidates": [(0, "x"), (0, "x")]}, r"candidates\.1: must be given once"),
+        ({"mounted": [(i % 6, "x") for i in range(120)]}, r"mounted\.6: must be given once"),
         ({"exclude": [17]}, r"exclude: must name places of the model \(got 17\)"),
         ({"modes": [1, 9]}, r"modes: must be modes of finite frequency"),
         ({"modes": [1, 1]}, r"modes: must be distinct numbers"),

@@ -21,7 +21,7 @@ Lindley (1956), *Ann. Math. Statist.* 27, 986–1005; Papadimitriou (2004), *J. 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -162,17 +162,6 @@ class State:
     def covariance(self) -> FloatArray:
         """Return A⁻¹, the covariance of the scaled parameters after the test, shape (n, p, p)."""
         return np.asarray(np.linalg.inv(self.matrix))
-
-
-def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> Readings:
-    """Return the readings restricted to the given modes.
-
-    `prior` (n, p, p) is the information before any sensor is placed, from the frequencies of these modes.
-    """
-    picked = list(modes)
-    return replace(
-        readings, prior=prior, shapes=readings.shapes[:, :, picked], slopes=readings.slopes[:, :, picked]
-    )
 
 
 def _log_det_of_one_plus(rows: FloatArray) -> FloatArray:
