@@ -186,7 +186,7 @@ def _run_once(
 ) -> int:
     """Start or resume a run in a directory, and return the exit code.
 
-    Raise UsageError if --exact is given without a surrogate.
+    Raise UsageError if a surrogate is impossible, or --exact is given without one.
     """
     gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
@@ -208,11 +208,8 @@ def _run_once(
         running = stack.enter_context(RunDirectory(directory))
         try:
             with _reporting(progress, running) as report:
-                problem = _begin_run(asked, running, at_work, new=new, overwrite=overwrite)
+                problem, takes = _begin_run(asked, running, at_work, new=new, overwrite=overwrite)
                 samplers = asked.orders["samplers"] or (default_sampler(problem),)
-                takes = wants_surrogate(problem, asked.orders.get("surrogate", False))
-                if asked.orders.get("exact") and not takes:
-                    raise click.UsageError(NO_SURROGATE)
                 asked = replace(asked, orders={**asked.orders, "samplers": samplers, "surrogate": takes})
                 if takes:
                     asked.save(running.folder)  # the decision does not depend on the clock when the run is resumed
@@ -305,17 +302,21 @@ def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> Ke
 
 def _begin_run(
     asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
-) -> UpdatingProblem:
-    """Build and return the problem. Save a new run's options, so that the run can be resumed.
+) -> tuple[UpdatingProblem, bool]:
+    """Build the problem; return it, and whether a surrogate will replace its model.
 
-    With --overwrite, options are saved only after the problem is built, so an earlier run survives if that fails.
-    If Ctrl-C interrupts the building, the options are saved as well.
+    A new run's options are saved, so that the run can be resumed. With --overwrite, they are saved only after the
+    problem is built, so an earlier run survives if that fails. If Ctrl-C interrupts the building, the options are
+    saved as well. Raise UsageError if a surrogate is impossible, or --exact is given without one.
     """
     if new and not overwrite:
         running.begin(asked)
     try:
         problem = build_problem(asked, engine)
-    except OSError:  # for example, if a file cannot be read; a ValueError leaves nothing behind either
+        takes = wants_surrogate(problem, asked.orders.get("surrogate", False))
+        if asked.orders.get("exact") and not takes:
+            raise click.UsageError(NO_SURROGATE)
+    except (OSError, click.UsageError):  # for example, if a file cannot be read
         running.abandon()
         raise
     except KeyboardInterrupt:
@@ -324,7 +325,7 @@ def _begin_run(
         raise
     if new and overwrite:
         running.begin(asked)
-    return problem
+    return problem, takes
 
 
 def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> None:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 MAX_SOLVES = 2_000_000
 """Default limit on a sampler's solves, including warm-up, at which a run ends even if it has not converged."""
 NO_SURROGATE = (
-    "--exact: no surrogate stands for this model, so that its draws are exact anyway: leave out --exact, or ask "
-    "for a surrogate where one is possible (--surrogate)."
+    "--exact: this model has no surrogate, so its draws are exact already. Leave out --exact or, if the model can "
+    "have a surrogate, add --surrogate."
 )
 _MOST = 8
 """Default limit on the proposals for exact draws, relative to the number solved first."""

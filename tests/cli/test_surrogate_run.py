@@ -135,10 +135,23 @@ def test_a_fast_function_is_called_itself(tmp_path):
     assert json.loads((tmp_path / "a" / "run.json").read_text())["orders"]["surrogate"] is False
 
 
-def test_a_model_with_matrices_is_refused(tmp_path):
-    done = run("shear-2dof", "--surrogate", "--out", tmp_path / "a", *LENGTH)
+@pytest.mark.parametrize(
+    ("option", "reason"),
+    [
+        ("--surrogate", "a model with matrices has a reduced model"),
+        ("--exact", "--exact is for the draws of a surrogate"),
+    ],
+)
+def test_an_option_that_needs_a_surrogate_leaves_nothing_behind_where_there_is_none(tmp_path, option, reason):
+    folder = ("shear-2dof", "--out", tmp_path / "a", "--no-report", "--draws", "4", "--warmup", "4")
+    assert run(*folder[:4], option).exit_code == 2
+    assert not (tmp_path / "a" / "checkpoints").exists()
+    assert run(*folder).exit_code == 0
+    before = (tmp_path / "a" / "run.json").read_text()
+    done = run(*folder[:4], option, "--overwrite")
     assert done.exit_code == 2
-    assert "a model with matrices has a reduced model" in done.stderr
+    assert reason in " ".join(done.stderr.split())
+    assert (tmp_path / "a" / "run.json").read_text() == before
 
 
 ROUGH = SOURCE.replace("return np", "return (1 + 5e-4 * np.sin(1e9 * np.sin(1e3 * k1 / k2))) * np").format(
