@@ -18,16 +18,18 @@ _HAS_TIMER = os.name == "posix"
 
 
 class _Stop:
-    """The installed signal handlers, and the state of the interruption.
+    """The signal handler that all blocks in this module share, and its state.
 
     Attributes
     ----------
     asked : bool
         Whether a signal has been received.
     due : bool
-        Whether a KeyboardInterrupt has yet to be raised, perhaps at the end of the outermost `shielded` block.
+        Whether a KeyboardInterrupt is pending because a signal arrived in a `shielded` block.
     polling, shields : int
-        Numbers of nested `interruptible` and nested `shielded` blocks.
+        Numbers of `interruptible` and of `shielded` blocks that are currently open.
+    before : dict of int to callable, int or None
+        The previous handler of each signal, as returned by `signal.signal`.
     """
 
     def __init__(self) -> None:

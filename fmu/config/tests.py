@@ -157,8 +157,11 @@ class TestTable(MeasurementTable):
         ----------
         number : int
             Index of this table in the file, from 0.
-        folder, built, needs_trust
+        folder, built
             See `MeasurementTable.build`.
+        needs_trust : bool
+            True if no error model applies to modes. Measured modes must then have an uncertainty. Modes picked
+            from FRFs are marked as used in updating only if this is True.
         of_frfs : OfFRFs or None
             The FRF table and error models; None if there are no FRFs.
         """

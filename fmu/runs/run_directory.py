@@ -18,8 +18,9 @@ class RunDirectory:
     """A run's output directory, which only one process can use at a time.
 
     Its folder ``checkpoints`` contains a directory for each sampler (`fmu.runs.store.Store`), the run's problem
-    and options, and the maxima that were found. The folder is removed at the end of the run. It is also removed
-    if, before the first draw, the run fails with a ValueError, or with an OSError while the problem is built.
+    and options, and the maxima that were found. The folder is removed at the end of the run, unless a sampler
+    reached its limit on solves and can be resumed. It is also removed if, before the first draw, the run fails
+    with a ValueError, or with an OSError while the problem is built.
 
     Parameters
     ----------

@@ -139,7 +139,7 @@ def test_a_fast_function_is_called_itself(tmp_path):
     ("option", "reason"),
     [
         ("--surrogate", "a model with matrices has a reduced model"),
-        ("--exact", "--exact is for the draws of a surrogate"),
+        ("--exact", "this model has no surrogate"),
     ],
 )
 def test_an_option_that_needs_a_surrogate_leaves_nothing_behind_where_there_is_none(tmp_path, option, reason):
@@ -196,7 +196,7 @@ def test_exact_draws_need_a_surrogate_and_no_number_of_draws(tmp_path):
     for options, said in (
         (("--no-surrogate",), "--exact is for the draws of a surrogate"),
         (("--draws", "50"), "--exact solves as many draws as converge"),
-        ((), "no surrogate stands for this model"),
+        ((), "this model has no surrogate"),
     ):
         done = run(tmp_path / "storeys.toml", "--exact", "--out", tmp_path / "a", "--progress", "none", *options)
         assert done.exit_code == 2

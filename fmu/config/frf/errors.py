@@ -241,9 +241,9 @@ def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> 
 
 
 def _in_the_file(error: ValueError) -> ArgumentError:
-    """Return an error whose key is the corresponding key in the table.
+    """Return an error with its argument's name replaced by the key of the table that sets this argument.
 
-    An error without such a key, such as an error in the FRF file, gets the key ``data``.
+    An error that concerns no key of the table, such as an error in the FRF file, gets the key ``data``.
     """
     wrong = ArgumentError.of(error).replace_key("path", "data").replace_key("numbers", "modes")
     return wrong if wrong.key.split(".")[0] in FRFTable.model_fields else ArgumentError("data", str(wrong))

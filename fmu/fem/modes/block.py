@@ -150,9 +150,9 @@ class Block:
         φᵀM φ_jk = −(φ_jᵀM φ_k + φᵀ∂_jM φ_k + φᵀ∂_kM φ_j + ½ φᵀ∂_jkM φ).
 
         One adjoint y_j for each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0, which is
-        a shape derivative with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is −y_jᵀ times the right side of the
-        first equation plus φᵀleft_j times the right side of the second. As y_jᵀMφ = 0, the second derivatives of λ
-        drop out.
+        a shape derivative with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is y_jᵀ times the right side of the first
+        equation plus φᵀleft_j times the right side of the second. As y_jᵀMφ = 0, the second derivatives of λ drop
+        out.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Block:
         lam, phi : ndarray
             As in `eigenvalue_curvature`.
         left : ndarray, shape (n, size, m, n_parameters)
-            ∂φ/∂θ has this shape too.
+            The vectors left_j of each mode. ∂φ/∂θ has this shape too.
         """
         n, size, m, p = left.shape
         own, value = phi[:, :, :m], lam[:, :m, None]

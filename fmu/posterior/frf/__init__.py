@@ -1,1 +1,1 @@
-"""Measured frequency response functions: their errors, the damping that they require, and their likelihood."""
+"""Updating with measured frequency response functions: error models, damping models and the likelihood."""

@@ -141,10 +141,9 @@ def find_configurations(
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
     """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
 
-    Frequencies and shapes are means over the tests, and standard deviations the smallest over the tests. There are
-    no shapes unless every mode has one, and no standard deviations unless every mode has one. Raise TestsError if
-    the tests contradict each other on a mode's number or counterpart, or if a mode lacks a counterpart that other
-    modes have.
+    Frequencies and shapes are means over the tests. A mode's standard deviation is the smallest in any test. There
+    are no shapes unless every mode has one, and no standard deviations unless every mode has one. Raise TestsError
+    if a mode has different numbers or counterparts in two tests, or if only some of the modes have counterparts.
     """
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]

@@ -62,7 +62,7 @@ class Scattering(NamedTuple):
         return self.of_score(self.value_of(theta)[1])
 
     def of_score(self, slopes: list[Slope]) -> FloatArray:
-        """Select the derivatives with respect to scores, shape (n, n_tests), from all value derivatives."""
+        """Select the derivatives with respect to the scores, (n, n_tests), from all derivatives of the values."""
         return next(slope.values for slope in slopes if slope.columns is self.drawn.columns)
 
 
