@@ -16,6 +16,8 @@ _FEW = 32
 """Largest number of entries of an array that is written as JSON."""
 _MISSING = {8: 127, 16: 32767}
 _INTEGERS = {8: "i1", 16: "i2"}
+_WHOLE = ("u2", "i2", "u4", "i4")
+"""Types for arrays of whole numbers, in order of preference. ``data.js`` has an array for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ def pack(content: object) -> str:
     ----------
     content : mapping, sequence, str, number, None, ndarray or `Rounded`
         Float arrays with more than 32 entries are rounded to 16 bits, and other floats to seven digits. NaN and
-        infinity become missing values. ``data.js`` reads arrays as flat arrays.
+        infinity become missing values. Whole numbers stay exact. ``data.js`` reads arrays as flat arrays.
     """
     arrays: list[bytes] = []
     text = json.dumps(_plain(content, arrays), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
@@ -58,16 +60,23 @@ def _plain(content: object, arrays: list[bytes]) -> object:
     if isinstance(content, (list, tuple)):
         return [_plain(value, arrays) for value in content]
     if isinstance(content, np.ndarray):
-        if content.size <= _FEW:
-            return [_plain(value, arrays) for value in content.ravel().tolist()]
-        if content.dtype.kind == "f":
+        if content.size > _FEW and content.dtype.kind == "f":
             return _plain(Rounded(content), arrays)
-        return _append_array(content.astype("u2" if content.max() < 2**16 else "u4"), arrays)
+        kind = _whole_type(content) if content.size > _FEW else None
+        if kind is None:
+            return [_plain(value, arrays) for value in content.ravel().tolist()]
+        return _append_array(content.astype(kind), arrays)
     if isinstance(content, Rounded):
         return _pack_rounded(content, arrays)
     if isinstance(content, (float, np.floating)):
         return float(f"{content:.7g}") if np.isfinite(content) else None
     return content.item() if isinstance(content, np.generic) else content
+
+
+def _whole_type(content: AnyArray) -> str | None:
+    """Return the first type in `_WHOLE` that holds all of an array's whole numbers, or None if none does."""
+    low, high = int(content.min()), int(content.max())
+    return next((kind for kind in _WHOLE if np.iinfo(kind).min <= low and high <= np.iinfo(kind).max), None)
 
 
 def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, object]:

@@ -2,8 +2,10 @@
 
 import base64
 import json
+import re
 import time
 import zlib
+from importlib.resources import files
 
 import numpy as np
 import psutil
@@ -50,6 +52,25 @@ def test_packed_numbers_are_the_numbers(bits, error):
     holes = np.where(rng.random(99) < 0.2, np.nan, 1.0 + rng.random(99))
     np.testing.assert_array_equal(np.isnan(unpacked(pack([holes]))[0]), np.isnan(holes))
     assert unpacked(pack([np.full(99, np.nan), np.arange(70_000), np.array([np.inf, 1.5])]))[2] == [None, 1.5]
+
+
+@pytest.mark.parametrize(
+    "ends", [(0, 9), (-1, 9), (-1, 2**15), (0, 2**16), (-(2**31), 0), (0, 2**32), (-1, 2**31)]
+)
+def test_packed_whole_numbers_are_exact(ends):
+    values = np.tile(np.array(ends, dtype=np.int64), 20)
+    np.testing.assert_array_equal(unpacked(pack({"x": values}))["x"], values)
+
+
+def test_the_page_has_an_array_for_each_type_of_packed_numbers():
+    """Of the same size and sign, such as ``i2: Int16Array``."""
+    text = (files("fmu.report") / "templates" / "data.js").read_text(encoding="utf-8")
+    arrays = dict(re.findall(r"(\w+): (\w+)Array\b", text.split("KINDS = ", 1)[1].split("}")[0]))
+    named = {
+        f"{sign}{size}": f"{word}{8 * size}" for sign, word in (("i", "Int"), ("u", "Uint")) for size in (1, 2, 4)
+    }
+    del named["u1"]
+    assert arrays == named
 
 
 def test_packed_names_have_no_characters_of_html():
