@@ -60,6 +60,8 @@ if TYPE_CHECKING:
 FOLDER = "export"
 _WORDS = {"mean": "posterior mean", "map": "highest maximum of the posterior"}
 AT = tuple(_WORDS)
+_EXPORTED = ("shared", "test", "group", "mean")
+"""Roles in theta of the quantities that are exported as values of structural parameters."""
 _MATCHING = 1e-5
 """Largest relative difference allowed between frequencies in the trace and those of the rebuilt problem."""
 _DRAWS = 4
@@ -158,7 +160,7 @@ def export(
         left = () if found is None else found.not_informed
         _values(trace, theta, found).to_csv(stage / VALUES)
         built = described.model.build(source.folder, described.structural)
-        source_of = in_the_file([table.name for table in described.structural if table.updated], names)
+        source_of = in_the_file(problem)
         values = dict(zip(names, theta.tolist(), strict=True)) | problem.layout.held
         if built.separable is not None:
             of_file = [table.name for table in described.structural]
@@ -183,17 +185,16 @@ def export(
     return Exported(output.root, files, name, tuple(remarks))
 
 
-def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return the inferred quantity that is exported as the value of each structural parameter.
+def in_the_file(problem: UpdatingProblem) -> dict[str, str]:
+    """Return the inferred quantity that is exported as the value of each updated structural parameter.
 
-    The dict is keyed by parameter name. The quantity is one of `names`: the parameter itself, its population's
-    mean or median, or its value in the first test or group.
+    The dict is keyed by parameter name. The quantity is the parameter itself, its population's mean or median, or
+    its value in the first test or group.
     """
-    found = {}
-    for parameter in parameters:
-        exact = (parameter, f"{parameter} mean", f"{parameter} median")
-        varied = (name for name in names if name.startswith(f"{parameter} ["))
-        found[parameter] = next((name for name in exact if name in names), None) or next(varied)
+    structural, found = problem.layout.structural, dict[str, str]()
+    for name, role in zip(problem.names, problem.roles, strict=True):
+        if role.of is not None and role.kind in _EXPORTED:
+            found.setdefault(structural[role.of].name, name)
     return found
 
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.io import mmread
 
 import fmu
-from fmu.report.export import export
+from fmu.report.export import export, in_the_file
 from tests.report.exported import run
 
 FILE = """
@@ -52,6 +52,17 @@ sd = 0.05
 masses = [{{ place = "roof", mass = 1.0 }}]
 """
 MEASURED = (("a", "old", (4.40, 11.52)), ("b", "new", (4.20, 11.30)), ("c", "old", (4.42, 11.50)))
+
+
+def test_a_parameter_with_a_value_in_each_test_beside_one_called_its_mean(tmp_path):
+    text = (
+        FILE.format(k1='varies = "test"', reference="old").replace('"k2"', '"k1 mean"').replace("k2", '"k1 mean"')
+    )
+    path = tmp_path / "building.toml"
+    path.write_text(text + "".join(TESTS.format(name=n, group=g, f=f) for n, g, f in MEASURED))
+    problem = fmu.load(path)
+    assert problem.names == ("k1 [a]", "k1 [b]", "k1 [c]", "k1 mean")
+    assert in_the_file(problem) == {"k1": "k1 [a]", "k1 mean": "k1 mean"}
 
 
 @pytest.mark.parametrize(
