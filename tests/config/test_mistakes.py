@@ -156,7 +156,11 @@ MATRICES = [
         "measurement.sensors.0",
     ),
     ("shapes = [[0.6, 1.0], [1.0, -0.6]]", "shapes = [[0.6], [1.0]]", "shapes: must have shape (2, 2)"),
-    ("shapes = [[0.6, 1.0], [1.0, -0.6]]", "shapes = [[0.0, 0.0], [1.0, -0.6]]", "no mode zero at every sensor"),
+    (
+        "shapes = [[0.6, 1.0], [1.0, -0.6]]",
+        "shapes = [[0.0, 0.0], [1.0, -0.6]]",
+        "must not be zero at every sensor",
+    ),
     (
         "frequencies = [3.1, 9.8]",
         "frequencies = [3.1, 9.8, 20.0]",

@@ -15,7 +15,7 @@ from fmu.arguments import ArgumentError, MissingFileError
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import list_mistakes, names_shown, quote
 from fmu.numbers import apart, given
-from fmu.types import DIRECTIONS, Dof, FloatArray
+from fmu.types import DIRECTIONS, ComplexArray, Dof, FloatArray
 
 LARGEST_FILE = 2**26
 """Largest size of a file with modes, bytes; a larger file is rejected before it is read."""
@@ -192,8 +192,7 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
         If a shape is zero or not finite, or its phase collinearity is too low.
     """
     phi = np.asarray(shapes, dtype=complex)
-    if not np.all(np.isfinite(phi)) or not np.all(np.any(phi != 0, axis=0)):
-        raise ArgumentError("shapes", "must be finite, and no mode zero at every sensor")
+    require_shapes(phi, range(1, phi.shape[1] + 1))
     mpc = phase_collinearity(phi)
     if not np.all(mpc >= least_mpc):
         at = int(np.argmin(mpc))
@@ -205,6 +204,19 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
             "; least_mpc=0 takes it anyway",
         )
     return np.asarray((phi * np.exp(-0.5j * np.angle(np.sum(phi**2, axis=0)))).real), mpc
+
+
+def require_shapes(shapes: FloatArray | ComplexArray, labels: Sequence[Hashable]) -> None:
+    """Raise ArgumentError if a mode shape (n_sensors, n_modes) is not finite, or zero at every sensor."""
+    unknown = np.argwhere(~np.isfinite(shapes))
+    if len(unknown):
+        sensor, mode = unknown[0]
+        got = f"{shapes[sensor, mode]} at sensor {sensor + 1} of mode {labels[mode]}"
+        raise ArgumentError("shapes", "must be finite: leave out the sensor or the mode", got)
+    still = np.flatnonzero(~np.any(shapes != 0, axis=0))
+    if len(still):
+        rule = "must not be zero at every sensor: choose sensors that the mode moves, or leave the mode out"
+        raise ArgumentError("shapes", rule, f"zeros for mode {labels[still[0]]}")
 
 
 def checked_file(path: Path, most: int | None = None) -> Path:

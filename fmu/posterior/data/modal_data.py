@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fmu.arguments import ArgumentError, check_arguments, shown
 from fmu.fem.pairing.matching import Matching
 from fmu.formats.modes.csv import read_frequencies, read_shapes
-from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
+from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes, require_shapes
 from fmu.formats.modes.pyoma import pyoma_modes
 from fmu.formats.modes.uff import read_uff, write_uff
 from fmu.posterior.data.covariance import checked_covariance
@@ -118,8 +118,7 @@ class ModalData:
                 raise ArgumentError(
                     "shapes", f"must have shape {(len(self.sensors), n)}, sensors x modes", shapes.shape
                 )
-            if not np.all(np.isfinite(shapes)) or not np.all(np.any(shapes != 0.0, axis=0)):
-                raise ArgumentError("shapes", "must be finite, and no mode zero at every sensor")
+            require_shapes(shapes, self.labels)
             shapes.flags.writeable = False
             object.__setattr__(self, "shapes", shapes)
         if self.mpc is not None and np.shape(self.mpc) != (n,):

@@ -137,7 +137,11 @@ def test_a_direction_of_a_node_may_be_zero_in_all_modes(tmp_path):
             r"sensors: must be at places in the file, tip, middle \(got 11\)",
         ),
         ([a_set()], {"sensors": [(11, "x"), (11, "-rz")]}, r"sensors: must be along x, y, z at 11 \(got '-rz'\)"),
-        ([a_set()], {"sensors": [(11, "y")]}, r"shapes: must be finite, and no mode zero at every sensor"),
+        (
+            [a_set()],
+            {"sensors": [(11, "y")]},
+            r"shapes: must not be zero at every sensor: .* \(got zeros for mode 1\)",
+        ),
         ([a_set(analysis_type=5, freq_step_n=1)], {}, r"must have mode shapes, dataset 55 .* \(got none\)"),
     ],
 )

@@ -71,12 +71,12 @@ def test_measured_shapes():
             r"shapes: must have shape \(1, 1\), sensors x modes \(got \(2, 1\)\)",
         ),
         (
-            {"frequencies_hz": [1.0, 2.0], "sensors": ((1, "z"),), "shapes": [[1.0, 0.0]]},
-            r"shapes: must be finite, and no mode zero at every sensor",
+            {"frequencies_hz": [1.0, 2.0], "sensors": ((1, "z"),), "shapes": [[1.0, 0.0]], "labels": ("a", "b")},
+            r"shapes: must not be zero at every sensor: .* leave the mode out \(got zeros for mode b\)",
         ),
         (
             {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[np.nan]]},
-            r"shapes: must be finite, and no mode zero at every sensor",
+            r"shapes: must be finite: leave out the sensor or the mode \(got nan at sensor 1 of mode 1\)",
         ),
         ({"frequencies_hz": [1.0], "labels": ("a", "b")}, r"labels: must be 1, one per mode \(got 2\)"),
         *(
