@@ -116,7 +116,8 @@ def is_asked() -> bool:
 def shielded() -> Iterator[None]:
     """Delay a KeyboardInterrupt until the end of a block that must leave files and memory consistent.
 
-    This works only inside a `stoppable` or `interruptible` block, in the main thread.
+    It then replaces an exception that the block raises. This works only inside a `stoppable` or `interruptible`
+    block, in the main thread.
     """
     stop = _current if threading.current_thread() is threading.main_thread() else None
     if stop is None:
@@ -127,7 +128,7 @@ def shielded() -> Iterator[None]:
         yield
     finally:
         stop.shields -= 1
-    stop.obey()
+        stop.obey()
 
 
 @contextmanager

@@ -93,3 +93,13 @@ def test_a_step_that_ends_in_time_is_not(monkeypatch):
         with interruptible():
             os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.1)
+
+
+def test_a_signal_in_a_shielded_block_that_fails_is_not_lost():
+    def fail():
+        with shielded():
+            os.kill(os.getpid(), signal.SIGINT)
+            raise ValueError
+
+    with stoppable(), pytest.raises(KeyboardInterrupt):
+        fail()
