@@ -38,10 +38,14 @@ class ModalDamping:
     Raises
     ------
     ValueError
-        If a known ratio is negative or not finite.
+        If there is no ratio, or a known one is negative or not finite.
     """
 
     ratios: NotNegative | Parameter | Sequence[NotNegative | Parameter]
+
+    def __post_init__(self) -> None:
+        if not as_list(self.ratios):
+            raise ArgumentError("ratios", "must have one damping ratio at least", "none")
 
 
 @check_arguments
@@ -224,9 +228,9 @@ def bind_damping(
                     raise ArgumentError("damping.matrix", f"must be of {model.n_dof} rows", one.matrix.shape[0])
                 dashpots.append((one.matrix, source(one.coefficient)))
     kinds = [type(one) for one in models if isinstance(one, ModalDamping | RayleighDamping | StructuralDamping)]
-    twice = next((kind.__name__ for kind in kinds if kinds.count(kind) > 1), None)
+    twice = next((kind for kind in kinds if kinds.count(kind) > 1), None)
     if twice is not None:
-        raise ArgumentError("damping", f"must have one {twice} at most", kinds.count(kinds[0]))
+        raise ArgumentError("damping", f"must have one {twice.__name__} at most", kinds.count(twice))
     if ratios and (losses or dashpots):
         raise ArgumentError(
             "damping",

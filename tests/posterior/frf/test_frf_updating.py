@@ -183,6 +183,10 @@ def replaced(**options):
         ({"damping": []}, "damping: must have one damping model at least"),
         ({"damping": [fmu.ModalDamping(0.01), fmu.Dashpot((0, "x"), 5.0)]}, "modal ratios cannot be combined"),
         ({"damping": [fmu.ModalDamping(0.01)] * 2}, "must have one ModalDamping at most"),
+        (
+            {"damping": [fmu.ModalDamping(0.01), fmu.RayleighDamping(1.0), fmu.RayleighDamping(2.0)]},
+            r"must have one RayleighDamping at most \(got 2\)",
+        ),
         ({"damping": fmu.StructuralDamping(of={"k9": 0.1})}, "damping.of: must name parameters among k1, k2, k3"),
         ({"damping": fmu.DampingMatrix(np.eye(2))}, r"damping.matrix: must be of 3 rows"),
         ({"damping": fmu.ModalDamping(fmu.Parameter("z", 0.0, -1.0, 1.0))}, "damping.z.lower: must be at least 0"),
@@ -205,6 +209,11 @@ def test_stiffness_that_two_parameters_scale_has_one_loss_factor():
         bound(I=0.03, E=0.02)
     assert bound(E=0.02, I=0.02).losses == {0: Source(0.02), 1: Source(0.02)}
     assert bound(I=0.03).losses == {1: Source(0.03)}
+
+
+def test_modal_damping_must_have_a_ratio():
+    with pytest.raises(ValueError, match=r"ratios: must have one damping ratio at least \(got none\)"):
+        fmu.ModalDamping([])
 
 
 def test_a_damping_matrix_must_be_symmetric_and_square():
