@@ -34,7 +34,7 @@ class Ascent:
     stationary : ndarray of bool, shape (n,)
         Whether each final point is stationary.
     steps : int
-        Number of completed steps; one less if the largest number of steps was used up.
+        Number of steps.
     """
 
     position: FloatArray
@@ -116,8 +116,8 @@ def ascend(
     i = np.arange(u.shape[1])
     going = np.flatnonzero(np.isfinite(V))
     advance_phase(len(u) - len(going))
-    step = 0
-    for step in range(max_steps):  # noqa: B007
+    steps = 0
+    while steps < max_steps:
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
         on = going[~stationary[going] & (damping[going] < MOST_DAMPING)]
         advance_phase(len(going) - len(on))
@@ -135,7 +135,8 @@ def ascend(
         moved = going[better]
         u[moved] += s[better]
         V[moved], g[moved], H[moved] = new_V[better], new_g[better], new_H[better]
-    return Ascent(np.clip(u, lower, upper), V, H, stationary, step)
+        steps += 1
+    return Ascent(np.clip(u, lower, upper), V, H, stationary, steps)
 
 
 def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:

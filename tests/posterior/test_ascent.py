@@ -67,9 +67,19 @@ def test_a_step_that_promises_nothing_is_taken_if_it_helps():
     assert end.value[0] == 0.0
 
 
-def test_steps_are_limited():
-    ends = ascend(quadratic(np.eye(2), np.full(2, 0.5)), np.zeros((1, 2)), np.zeros(2), np.ones(2), max_steps=1)
-    assert not ends.stationary.any()
+@pytest.mark.parametrize("most", [0, 1, 2, 100])
+def test_steps_are_limited_and_counted(most):
+    """One evaluation at the start, and one in each step."""
+    V, calls = quadratic(np.eye(2), np.full(2, 0.5)), []
+
+    def counted(u):
+        calls.append(len(u))
+        return V(u)
+
+    ends = ascend(counted, np.zeros((1, 2)), np.zeros(2), np.ones(2), max_steps=most)
+    assert ends.stationary.all() == (most == 100)
+    assert len(calls) == 1 + ends.steps
+    assert (ends.steps == most) == (most < 100)
 
 
 def test_decrement_ignores_the_pressed_coordinates_alone():
