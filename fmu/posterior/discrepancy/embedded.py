@@ -140,6 +140,13 @@ class Discrepancy:
         """Name of the inferred τ or σ."""
         return self.name or ("tau" if self.kind == "embedded" else "model error")
 
+    def infers(self, of_frequencies: bool, of_shapes: bool) -> bool:
+        """Return True if a number is inferred, given whether frequencies and shapes have measurement errors."""
+        if self.kind == "embedded":
+            return self.tau is None or self.correlation == "inferred"
+        of_modes = self.sd is None or self.correlation in (None, "inferred")
+        return (of_frequencies and of_modes) or (of_shapes and self.shape_sd is None)
+
     def bind(self, parameters: Sequence[Parameter], index: NoiseIndex) -> EmbeddedScatter:
         """Return the scatter bound to the parameters of a structure.
 
@@ -183,11 +190,15 @@ class Discrepancy:
         return Setting(0.0, index(Parameter(f"{self.label} correlation", _START, 0.0, _MOST_CORRELATED)))
 
 
-def require_distinct_names(discrepancies: Sequence[Discrepancy]) -> None:
-    """Raise ValueError if two discrepancies with an inferred number, or of kind "modes", have the same name."""
-    names = [one.label for one in discrepancies if one.tau is None or one.correlation == "inferred"]
-    if len(set(names)) < len(names):
-        raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])
+def require_distinct_names(discrepancies: Sequence[Discrepancy], of_frequencies: bool, of_shapes: bool) -> None:
+    """Raise ValueError if two discrepancies with an inferred number have the same name.
+
+    The last two arguments state whether there are measurement errors of frequencies and of shapes.
+    """
+    names = [one.label for one in discrepancies if one.infers(of_frequencies, of_shapes)]
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None:
+        raise ArgumentError("discrepancy.name", "must be different for each discrepancy", twice)
 
 
 def _size(parameter: Parameter) -> float:

@@ -73,7 +73,8 @@ class DiscrepantLikelihood(ModalLikelihood):
             if term.tests is not None:
                 term.tests = None  # the scatter of tests no longer gives all of the variance
         noise = list(self.noise)
-        require_distinct_names(discrepancies)
+        of_frequencies = any(term.of_frequencies for term in self.terms_of)
+        require_distinct_names(discrepancies, of_frequencies, self.needs_shapes)
         index, self.measured = numbering(noise), np.asarray(data.frequencies_hz)
         scatters = tuple(one.bind(layout.structural, index) for one in discrepancies if one.kind == "embedded")
         of_modes, structure = [one for one in discrepancies if one.kind == "modes"], model.parts[0].structure

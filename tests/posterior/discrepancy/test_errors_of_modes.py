@@ -1,5 +1,7 @@
 """Errors of the modes themselves: correlated over the modes, and over the sensors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -21,6 +23,10 @@ KINDS = {
 
 
 def problem_of(kind, errors="relative, weighted"):
+    return posed(KINDS[kind], errors)
+
+
+def posed(discrepancy, errors):
     plain = embedded.problem_of("none", errors)
     return fmu.UpdatingProblem(
         plain.model.structure,
@@ -28,7 +34,7 @@ def problem_of(kind, errors="relative, weighted"):
         plain.parameters[:4],
         pairing="index",
         error=embedded.ERRORS[errors],
-        discrepancy=KINDS[kind],
+        discrepancy=discrepancy,
     )
 
 
@@ -111,6 +117,19 @@ def test_several_tests_have_the_errors_of_their_modes_in_common():
     gradient = problem.log_prob_and_grad(theta)[1]
     step = 1e-3 * np.maximum(np.abs(theta), 0.1)
     assert_gradient(gradient, problem.log_prob, theta, step, order=4, rtol=1e-6, of_largest=1e-6)
+
+
+def test_errors_that_are_all_known_need_no_names_of_their_own():
+    """Those of shapes too, unless only frequencies were measured. The variances of equal errors add up."""
+    one = KINDS["given"]
+    sizes = {"sd": np.sqrt(2.0) * one.sd, "shape_sd": np.sqrt(2.0) * one.shape_sd}
+    both, together = posed([one, one], "shapes too"), posed(replace(one, **sizes), "shapes too")
+    theta = embedded.points(both)
+    assert_allclose(both.log_likelihood(theta), together.log_likelihood(theta), rtol=1e-10)
+    without = replace(one, shape_sd=None)
+    assert posed([without, without], "relative, weighted").names == both.names
+    with pytest.raises(ValueError, match=r"discrepancy.name: must be different .* \(got model error\)"):
+        posed([without, without, fmu.Discrepancy()], "shapes too")
 
 
 def test_simulated_data_have_the_covariance():
