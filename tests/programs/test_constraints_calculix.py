@@ -127,3 +127,40 @@ def test_frequencies_and_shapes_at_values_that_were_not_exported(kind, tmp_path)
     ours = model.observation(sensors) @ phi
     ours *= np.sign(np.sum(ours * theirs, axis=0))
     assert_allclose(ours, theirs, atol=2e-5 * np.abs(theirs).max())
+
+
+SOLID = f"*SOLID SECTION,ELSET=A,MATERIAL=S\n*MATERIAL,NAME=S\n*ELASTIC\n{NOMINAL['E']:.9g},.3\n*DENSITY\n7850.\n"
+CUBE = "0,0,0 1,0,0 1,1,0 0,1,0 0,0,1 1,0,1 1,1,1 0,1,1"
+FIRST, MORE, NEW_SUPPORTS = (
+    "*BOUNDARY\n1,1,3\n2,1,3\n3,1,3",
+    "*BOUNDARY\n7,1",
+    "*BOUNDARY,OP=NEW\n5,1,3\n6,1,3\n8,3",
+)
+STORED, STATIC = "*FREQUENCY,SOLVER=MATRIXSTORAGE\n2\n*END STEP", "*STATIC\n*CLOAD\n4,1,1.\n*END STEP"
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        (FIRST, "*STEP", MORE, STORED),
+        (FIRST, "*STEP", NEW_SUPPORTS, STORED),
+        (FIRST, "*STEP", NEW_SUPPORTS, MORE, STORED),
+        (FIRST, "*STEP", MORE, NEW_SUPPORTS, STORED),
+        (FIRST, NEW_SUPPORTS, "*STEP", STORED),
+        (FIRST, "*STEP", STATIC, "*STEP", NEW_SUPPORTS, STORED),
+        (FIRST, "*STEP", NEW_SUPPORTS, STATIC, "*STEP", MORE, STORED),
+        (FIRST, "*STEP", STORED, "*STEP", NEW_SUPPORTS, STATIC),
+        (f"*TRANSFORM,NSET=ALL\n{AXES}", FIRST, "*STEP", NEW_SUPPORTS, MORE, STORED),
+    ],
+)
+def test_supports_are_those_of_the_step_with_the_matrices(steps, tmp_path):
+    """CalculiX names the degrees of freedom that it keeps."""
+    nodes = "".join(f"{n},{place}\n" for n, place in enumerate(CUBE.split(), 1))
+    text = f"*NODE,NSET=ALL\n{nodes}*ELEMENT,TYPE=C3D8,ELSET=A\n1,1,2,3,4,5,6,7,8\n{SOLID}"
+    (tmp_path / "job.inp").write_text("\n".join([text, *steps, ""]))
+    subprocess.run(["ccx", "job"], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    rows = [row.split(".") for row in (tmp_path / "job.dof").read_text().split()]
+    kept = {(int(node), "xyz"[int(k) - 1]) for node, k in rows}
+    mesh = fmu.read_mesh(tmp_path / "job.inp")
+    supported = mesh.held | {one.dependent for one in mesh.equations}
+    assert supported == {(node, d) for node in range(1, 9) for d in "xyz"} - kept

@@ -4,6 +4,9 @@ CalculiX eliminates dependent degrees of freedom before it writes its matrices, 
 *TRANSFORM rotates a node's axes, CalculiX chooses the degree of freedom that an equation makes dependent. It is in
 the global direction with the same number, or in the next one along which the local axis has a component (CalculiX,
 *User's manual*). `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
+
+Supports stay in later steps, unless the first *BOUNDARY of a step has OP=NEW, which removes all earlier ones. On
+other *BOUNDARY keywords, OP=NEW has no effect (*User's manual*, ``*BOUNDARY``).
 """
 
 from __future__ import annotations
@@ -80,7 +83,7 @@ def constraints_of(
         elif one.name == "TRANSFORM":
             axes |= _transform(found, one, places)
     dependent: set[DofName] = set()
-    for one in found.keywords:
+    for one in _without_removed(found.keywords):
         if one.name == "EQUATION":
             for row, first, source in _equations(found, one, axes, places):
                 node, k = first[0], DIRECTIONS.index(first[1])
@@ -102,6 +105,18 @@ def constraints_of(
         equations += _along_local_axes(node, rows)
     bodies, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
     return equations + bodies, held, [*notes, *of_bodies]
+
+
+def _without_removed(keywords: Sequence[Keyword]) -> list[Keyword]:
+    """Return the keywords without each *BOUNDARY that a later step removes by OP=NEW."""
+    kept: list[Keyword] = []
+    is_first = False
+    for one in keywords:
+        if one.name == "BOUNDARY" and is_first and one.options.get("OP") == "NEW":
+            kept = [earlier for earlier in kept if earlier.name != "BOUNDARY"]
+        is_first = one.name == "STEP" or (is_first and one.name != "BOUNDARY")
+        kept.append(one)
+    return kept
 
 
 def _along_local_axes(node: int, rows: Sequence[tuple[dict[DofName, float], int, str]]) -> list[Equation]:

@@ -20,6 +20,7 @@ KEYWORDS = (
     "KINEMATIC",
     "DISTRIBUTING",
     "MPC",
+    "STEP",
 )
 UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT")
 """Constraint keywords that are skipped, written without blanks."""

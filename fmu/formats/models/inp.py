@@ -87,6 +87,8 @@ def parse(lines: Iterator[str]) -> Mesh:
             reading, options = _keyword(line)
             if ahead:
                 raise ValueError(f"line {number}: an element has {len(ahead) - 1} of its {needed} nodes")
+            if reading == "STEP" and is_stored:
+                break  # CalculiX ends after the step that stores its matrices
             if reading in _REFUSED:
                 raise RefusedError(f"line {number}: {_REFUSED[reading]}")
             is_transformed |= reading == "TRANSFORM"

@@ -20,6 +20,7 @@ DECK = """\
 *NSET, NSET=CORNERS, GENERATE
 1, 4
 """
+STORED = "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n4\n*END STEP\n"
 
 
 def read(folder, text):
@@ -51,6 +52,27 @@ def test_supports_and_equations_along_axes_of_a_node(tmp_path):
     found = {one.dependent: dict(one.weights) for one in mesh.equations}
     assert found == {(1, "y"): {}, (1, "x"): {}, (2, "z"): {}, (3, "y"): {(5, "x"): -2.0}}
     assert not mesh.held
+
+
+FIRST = "*BOUNDARY\n1, 1\n"
+NEW = "*BOUNDARY, OP=NEW\n2, 1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "nodes"),
+    [
+        (f"{FIRST}*STEP\n{NEW}*BOUNDARY\n3, 1\n", {2, 3}),
+        (f"{FIRST}*STEP\n{NEW.replace('NEW', 'MOD')}", {1, 2}),
+        (f"{FIRST}{NEW}", {1, 2}),  # in no step
+        (f"{FIRST}*STEP\n*BOUNDARY\n3, 1\n{NEW}", {1, 2, 3}),  # not the first of its step
+        (f"{FIRST}*STEP\n*BOUNDARY\n3, 1\n*END STEP\n*STEP\n{NEW}", {2}),
+        (f"{FIRST}{STORED}*STEP\n{NEW}", {1}),  # the program ends with the matrices
+    ],
+)
+def test_a_step_may_remove_earlier_supports(tmp_path, text, nodes):
+    assert read(tmp_path, text).held == {(node, "x") for node in nodes}
+    turned = read(tmp_path, f"*TRANSFORM, NSET=CORNERS\n0., 1., 0., -1., 0., 0.\n{text}")
+    assert {one.dependent for one in turned.equations} == {(node, "y") for node in nodes}
 
 
 def test_cylindrical_axes(tmp_path):
@@ -86,7 +108,6 @@ CUBE = """\
 *ELEMENT, TYPE=C3D8, ELSET=CUBE
 1, 1, 2, 3, 4, 5, 6, 7, 8
 """
-STORED = "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n4\n*END STEP\n"
 COUPLING = "*SURFACE, NAME=S\nCUBE, S4\n*COUPLING, REF NODE=9, SURFACE=S, CONSTRAINT NAME=C\n*KINEMATIC\n1, 3\n"
 
 
