@@ -25,6 +25,14 @@ def test_equations_of_two_terms_a_line():
     assert notes == ["1 couplings (CP,R5.0,DEFI) are not read: write each as CP,number,direction,nodes."]
 
 
+def test_constants_of_equations_are_left_out_with_a_note():
+    shifted = ARCHIVE.replace("1,  0.00000000", "1,  0.25000000", 1)
+    equations, notes = equations_of(shifted.splitlines())
+    assert [one.weights for one in equations] == [one.weights for one in equations_of(ARCHIVE.splitlines())[0]]
+    assert notes[1:] == ["The constants of 1 equations (CE) are left out: they do not change the modes."]
+    assert len(equations_of(ARCHIVE.replace("1,  0.00000000", "1", 1).splitlines())[1]) == 1
+
+
 def test_coupled_sets_follow_their_first_node():
     """As the command has them: HIGH adds to the highest set, NEXT begins one, a set may go on."""
     lines = ["CP,4,UX,12,13,14", "CP,4,,15,12", "CP,HIGH,UX,16", "cp,next,rotz,7,8", "CP,1,UY,12,13"]
@@ -67,6 +75,7 @@ def test_broken_sets_are_refused(line, message):
         ("DEFI,       3", "DEFI,   three", r"number of terms must be a whole number"),
         ("DEFI,       3", "DEFI, 9999999999", r"at most \d+ equations and terms"),
         ("ROTZ", "TEMP", r"a direction must be one of UX.*got 'TEMP'"),
+        ("0.00000000", "nothing", r"CE 1: the constant must be a real number"),
         ("-1.00000000", "minus one", r"CE 1: a factor must be a real number"),
         ("2.00000000", "0.00000000", r"CE 1: the factor of node 12 x is zero"),
         ("12,UX", "-12,UX", r"CE 1: a node must be a whole number"),
