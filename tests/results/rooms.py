@@ -69,11 +69,15 @@ def changed(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
 
 
 def _reached(root: Path, modules: Iterable[str]) -> list[Path]:
-    """Return the files that the modules lead to by imports, those of the modules among them."""
+    """Return the files that the modules lead to by imports, those of the modules among them.
+
+    A package is run by its ``__main__.py``.
+    """
     wanted, found = set(modules), set()
     for name in wanted:
         if _file_of(root, name) is None:
             raise ValueError(f"no module {name} in {root}")
+    wanted |= {f"{name}.__main__" for name in wanted}
     while wanted:
         path = _file_of(root, wanted.pop())
         if path is not None and path not in found:

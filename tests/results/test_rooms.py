@@ -53,6 +53,13 @@ def test_a_new_import_brings_its_room(project):
     assert changed(project(1), after) == ["report", "types"]
 
 
+def test_a_package_leads_where_its_main_module_does(project, tmp_path):
+    project(1, **{"tests/study/__init__.py": "", "tests/study/__main__.py": STUDY})
+    (tmp_path / "1" / "tests" / "study.py").unlink()
+    forget()
+    assert set(digests(tmp_path / "1", ["tests.study"])) == {"__init__", "sampling", "types", "fem", "tests"}
+
+
 def test_an_edit_is_seen_after_forgetting_what_was_read(project, tmp_path):
     before = project(1)
     (tmp_path / "1" / "fmu" / "types.py").write_text("Array = tuple\n", encoding="utf-8")
