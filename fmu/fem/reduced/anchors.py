@@ -57,6 +57,20 @@ class SingularAnchorError(ValueError):
         self.parameter = parameter
 
 
+class NoModesError(ValueError):
+    """Raised if no modes can be computed at any of several points.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n_parameters,)
+        The first of the points.
+    """
+
+    def __init__(self, theta: FloatArray) -> None:
+        super().__init__(NO_MODES)
+        self.theta = theta
+
+
 class Far(NamedTuple):
     """A point so far from every anchor point that error bounds are poor there.
 

@@ -18,7 +18,7 @@ from fmu.fem.modes.block import Observation
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
-from fmu.fem.reduced.anchors import Anchors
+from fmu.fem.reduced.anchors import Anchors, NoModesError
 from fmu.fem.reduced.basis import compress_rows
 from fmu.fem.reduced.residuals import at_once, bound_errors, inertia_agrees
 from fmu.fem.reduced.shared import SharedResiduals
@@ -330,16 +330,23 @@ def snapshot_basis(
     block : FullBlock
     anchors : Anchors
     theta : ndarray, shape (n, n_parameters)
-        Points where a solve fails are skipped; at least one must succeed.
+        Points where a solve fails are skipped.
     count : int
         Number of modes at each point.
     size : int
         Largest number q of basis vectors.
     tolerance : float
         Relative error of an eigenvalue below which a mode needs no further directions.
+
+    Raises
+    ------
+    NoModesError
+        If the solves fail at all points.
     """
     lam, phi = block.modes(theta, count)
     known = np.isfinite(lam).all(axis=1)
+    if not known.any():
+        raise NoModesError(theta[0])
     sigma = np.maximum(lam[known] + anchors.shift, np.finfo(float).tiny)
     modes = (phi[known] / np.sqrt(sigma)[:, None]).transpose(1, 0, 2).reshape(block.size, -1)
     energy, U = np.linalg.eigh(modes.T @ (anchors.first @ modes))

@@ -13,9 +13,10 @@ from scipy.special import chdtri
 from fmu.engines.base import Engine
 from fmu.fem.modes.modal import ModalSolution, is_rigid
 from fmu.fem.modes.solver import LAPACK
+from fmu.fem.pairing.failed_solves import NOT_FINITE, why_no_frequencies
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
-from fmu.fem.reduced.anchors import SingularAnchorError
+from fmu.fem.reduced.anchors import NoModesError, SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import ReducedStructure, reduced_in, restore, train, train_at
@@ -47,7 +48,7 @@ _SNAPSHOTS, _BEYOND = 60, 1e-3
 
 
 class ReductionWarning(UserWarning):
-    """Warns that the reduced model does not meet its tolerance, or meets it only in part of the box."""
+    """Warns that a reduced model cannot be made, or does not meet its tolerance or only in part of the box."""
 
 
 def reduced_model(
@@ -82,8 +83,8 @@ def reduced_model(
     Warns
     -----
     ReductionWarning
-        If training ended before the tolerances were met. The warning is repeated if the model is read from
-        the cache.
+        If training ended before the tolerances were met, or the full model could not be solved at draws from the
+        prior. The warning is repeated if the model is read from the cache.
     """
     structure = structure_of(problem.model)
     if structure is None:
@@ -163,7 +164,11 @@ def _reduce(
     reduced = reduced_in(model)
     if reduced is None:
         if likelihood.of_modes:
-            model, state = _trained_at_draws(problem, structure, trained, tolerance.frequency) or (model, state)
+            try:
+                found = _trained_at_draws(problem, structure, trained, tolerance.frequency)
+                model, state = found or (model, state)
+            except NoModesError as unsolved:
+                state["unsolved"] = unsolved.theta
         store_basis(key, state)
         return model, _find_tolerance(problem, model, tolerance, state)
     error = 0.0 if reduced.confirmed else _paired_error(reduced, trained[0], trained[1], tolerance.frequency)
@@ -179,8 +184,14 @@ def _find_tolerance(
 ) -> Tolerance | None:
     """Return the tolerance that a reduced model meets, or None for a full model.
 
-    Warn if the reduced model misses the requested tolerance.
+    Warn if the reduced model misses the requested tolerance, or if no solve succeeded that could train it.
     """
+    if "unsolved" in state:
+        reason = why_no_frequencies(model, state["unsolved"]) or NOT_FINITE
+        _warn(
+            f"no reduced model can be made, as the full model has no modes at draws from the prior ({reason}); "
+            "narrow the bounds or priors"
+        )
     if model is model.truth:
         return None
     _warn_if_missed(problem, model, tolerance, state)
@@ -193,8 +204,9 @@ def _trained_at_draws(
     """Return a reduced model trained at draws from the prior and the posterior, and its training state.
 
     Return None if the errors in the log-probability or the frequencies at fresh posterior points are too large
-    (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. `trained` (2, n_parameters) is the
-    box, and `frequency` is the requested relative error.
+    (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. Raise NoModesError if no draw from
+    the prior can be solved. `trained` (2, n_parameters) is the box, and `frequency` is the requested relative
+    error.
     """
     n, rng = structure.n_parameters, np.random.default_rng(0)
     depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # contains all but this share of a Gaussian posterior

@@ -311,6 +311,25 @@ def test_training_ends_where_no_basis_is_good_enough(bases, monkeypatch):
     assert 3 <= len(rounds) < 10
 
 
+def test_the_reason_is_told_if_no_solve_succeeds_at_draws_from_the_prior(bases, monkeypatch):
+    """M has couplings c of neighbours, and is positive definite only where all |c| < 1: not at one draw of 30."""
+    n, couplings = 402, 10
+    signs = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1])
+    M = [Term(sp.eye_array(n), (0,) * couplings)]
+    for j in range(couplings):
+        pair = sp.coo_array((np.ones(2), ([2 * j, 2 * j + 1], [2 * j + 1, 2 * j])), shape=(n, n))
+        M.append(Term(pair, tuple(int(i == j) for i in range(couplings))))
+    model = SeparableModel([Term(signs.T @ signs, (0,) * couplings)], M)
+    monkeypatch.setattr(  # no reduced model pays
+        focus, "train", lambda structure, *_: (structure.kept_full(9), {"full": np.array(9.0)})
+    )
+    parameters = [Parameter(f"c{j}", 0.0, -4.0, 4.0) for j in range(couplings)]
+    for _ in range(2):  # made, and read from the cache
+        with pytest.warns(ReductionWarning, match=r"no reduced model .* no modes .* \(the mass matrix is not pos"):
+            problem = UpdatingProblem.reduced(model, ModalData([1e-3]), parameters, pairing="index", beta=1.0)
+        assert problem.model is problem.model.truth
+
+
 @pytest.mark.parametrize("given", [0, 0.0, -1e-6, 0.02, 1, float("nan"), float("inf"), "1e-6", None])
 def test_a_tolerance_is_a_number_up_to_a_hundredth(chain, given):
     with pytest.raises(ValueError, match=r"^reduction: must be true, false or .* at most 0\.01 \(got "):
