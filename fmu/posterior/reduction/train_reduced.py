@@ -128,9 +128,10 @@ def _reduce(
 
     def inaccurate_points(model: ReducedStructure) -> tuple[FloatArray, float] | None:
         points = some_points(model)
-        by_bound = structure.solver != LAPACK and not (structure.is_soft or likelihood.needs_shapes)
-        if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and ignores jumps
-            difference = _log_prob_bound(model, likelihood, points)
+        needs_solves = structure.solver == LAPACK or structure.is_soft or likelihood.needs_shapes
+        may_jump = not structure.is_soft
+        if isinstance(likelihood, ModalLikelihood) and not needs_solves:  # cheaper, and ignores jumps
+            difference, may_jump = _log_prob_bound(model, likelihood, points), False
         else:
             left = BUDGET - sum(compared)
             if left <= 0:
@@ -139,7 +140,7 @@ def _reduce(
             compared.append(len(points))
             difference = _log_prob_errors(problem, model, points)
         wrong = ~(np.abs(difference) <= _TUNED * tolerance.log_prob)
-        if not (structure.is_soft or by_bound):
+        if may_jump:
             wrong[wrong] = ~on_a_jump(model, points[wrong, :n], tolerance.frequency)
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         if not wrong.any() or has_stalled(differences):

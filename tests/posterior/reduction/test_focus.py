@@ -7,10 +7,11 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu import cases
+from fmu import FrequencyErrors, FRFData, FRFErrors, ModalDamping, cases
 from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.points import Trained
@@ -236,7 +237,7 @@ def test_training_goes_on_until_the_log_probability_is_right(load_case, bases, m
     assert np.max(np.abs(build().log_likelihood(theta) - exact)) > 10.0 * LOG_PROB_TOLERANCE
 
 
-def two_chains():
+def two_chains(**options):
     """Return a problem of two chains side by side, whose first modes veer apart where they are equally stiff.
 
     The measured modes are of one chain each and of one frequency, so that the best fit is on the jump.
@@ -246,15 +247,20 @@ def two_chains():
     first, second = sp.diags_array([1.0, 0.0]), sp.diags_array([0.0, 1.0])
     links = sp.kron([[1.0, -1.0], [-1.0, 1.0]], sp.diags_array(np.full(n, coupling)))
     stiffness = [Term(sp.kron(first, springs).tocsr(), (1, 0)), Term(sp.kron(second, springs).tocsr(), (0, 1))]
-    dofs = [((side, i), "x") for side in (1, 2) for i in range(n)]
+    dofs = [(100 * side + i, "x") for side in (1, 2) for i in range(n)]
     model = SeparableModel(
         [*stiffness, Term(links.tocsr(), (0, 0))], [Term(sp.eye_array(2 * n, format="csr"), (0, 0))], dofs
     )
-    sensors = tuple(((side, i), "x") for side in (1, 2) for i in (3, 7, n - 1))
+    sensors = tuple((100 * side + i, "x") for side in (1, 2) for i in (3, 7, n - 1))
     shape = np.sin(np.pi * np.array([4, 8, 12]) / 25)
     middle = frequency_hz(np.array(0.0158 + coupling))  # of a chain by itself, and its links
     data = ModalData([middle, middle], sensors=sensors, shapes=np.kron(np.eye(2), shape).T, sd_hz=[0.0004, 0.0012])
-    return UpdatingProblem.reduced(model, data, [Parameter(name, 1.0, 0.7, 1.3) for name in ("k1", "k2")])
+    parameters = [Parameter(name, 1.0, 0.7, 1.3) for name in ("k1", "k2")]
+    return UpdatingProblem.reduced(model, data, parameters, **options)
+
+
+ON_THE_JUMP = np.concatenate([10.0 ** -np.arange(4.0, 16.0, 0.25), -(10.0 ** -np.arange(4.0, 16.0, 0.25))])
+"""Differences k1 − k2 of the chains, within rounding of 0 among others."""
 
 
 def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, monkeypatch):
@@ -266,9 +272,8 @@ def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, mon
     structure = problem.model
     assert rounds == []
     # both models are right to rounding, and differ by the choice of the mode within rounding of the jump alone
-    apart = np.concatenate([10.0 ** -np.arange(4.0, 16.0, 0.25), -(10.0 ** -np.arange(4.0, 16.0, 0.25))])
     tried = plausible_points(problem, 64, np.random.default_rng(0))
-    theta = np.concatenate([tried, np.stack([1.0 + apart / 2, 1.0 - apart / 2], axis=1)])
+    theta = np.concatenate([tried, np.stack([1.0 + ON_THE_JUMP / 2, 1.0 - ON_THE_JUMP / 2], axis=1)])
     full = frequency_hz(structure.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     differ = np.abs(problem.log_likelihood(theta) - exact) > LOG_PROB_TOLERANCE
@@ -277,14 +282,32 @@ def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, mon
     assert not focus.on_a_jump(structure, theta[~differ], FREQUENCY_TOLERANCE).any()
 
 
-def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
-    structure = two_chains().model
-    theta = np.array([[0.8, 1.2], [1.2, 0.8]])
+def with_half_the_basis(structure):
     poor = structure.cheap.blocks[0]
     half = poor.basis[:, : poor.basis.shape[1] // 2]
     changed = ReducedBlock(structure.truth.blocks[0], half, poor.n_trained)
     trained = Trained((changed,), structure.pairing, np.full(2, 0.7), np.full(2, 1.3))
-    assert not focus.on_a_jump(ReducedStructure(structure.truth, trained), theta, FREQUENCY_TOLERANCE).any()
+    return ReducedStructure(structure.truth, trained)
+
+
+def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
+    theta = np.array([[0.8, 1.2], [1.2, 0.8]])
+    assert not focus.on_a_jump(with_half_the_basis(two_chains().model), theta, FREQUENCY_TOLERANCE).any()
+
+
+def test_points_on_a_jump_are_right_for_a_large_structure_with_frfs_too(bases, monkeypatch):
+    """Its log-probabilities are compared with those of the full model, which may pair other modes."""
+    given, whole = [], focus.train
+    monkeypatch.setattr(focus, "train", lambda *args: given.append(args) or whole(*args))
+    point, lines, sd = ((111, "x"),), np.array([0.01, 0.02]), np.full((1, 2), 1e3)
+    frfs = FRFData(lines, np.ones((1, 2)), point, point, "receptance", sd=sd)
+    model = two_chains(error=[FRFErrors(frfs, ModalDamping(0.02)), FrequencyErrors()]).model
+    monkeypatch.setattr(PairedStructure, "solver", "SuperLU")
+    theta = np.stack([1.0 + ON_THE_JUMP / 2, 1.0 - ON_THE_JUMP / 2], axis=1)
+    monkeypatch.setattr(focus, "plausible_points", lambda *_: theta)
+    inaccurate_points = given[0][4]
+    assert inaccurate_points(model) is None
+    assert len(inaccurate_points(with_half_the_basis(model))[0])
 
 
 def test_training_stalls_when_three_rounds_halve_nothing():
