@@ -52,8 +52,8 @@ class Population(Varies):
         for a log-normal prior with 5 % of its probability below a third of the median time between tests, and 5 %
         above the time from the first test to the last. By default tests are independent.
     by : str
-        Covariate that gives the time of each test, such as ``"day"``; it differs in every test. By default the
-        tests were made at times 1, 2, … in their order.
+        Covariate that gives the time of each test, such as ``"day"``. It must be a number, different in each test
+        in which the parameter is unknown. By default the tests were made at times 1, 2, … in their order.
 
     Raises
     ------
