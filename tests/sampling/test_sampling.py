@@ -403,3 +403,21 @@ def test_a_run_with_a_shortened_warm_up_goes_on_with_a_higher_limit(problem, tmp
     assert longer["posterior"].sizes["draw"] > kept
     with pytest.raises(ValueError, match=r"contains another run: run\.warmup 400 there, 500 here"):
         fmu.sample(problem, "mh", **asked | {"warmup": 500}, max_solves=900)
+
+
+def test_a_plain_density_starts_at_its_best_maximum_where_another_one_would_catch_its_chains():
+    """The wide maximum, where the prior's draws are, has a millionth of the probability."""
+
+    class Plain:
+        ndim, lower, upper = 2, np.full(2, -3.0), np.full(2, 3.0)
+
+        def log_prob(self, theta):
+            narrow = 16.6 - 50.0 * np.sum((theta - 2.0) ** 2, axis=-1)
+            return np.logaddexp(narrow, -3.1 * np.sum((theta + 1.0) ** 2, axis=-1))
+
+        def sample_prior(self, rng, n):
+            return rng.uniform(-3.0, 3.0, (n, 2))
+
+    trace = fmu.sample(Plain(), "mixture", draws=200, seed=1)
+    assert trace.attrs["init"] == "maxima"
+    assert all(float(draws.mean()) > 1.9 for draws in trace["posterior"].data_vars.values())

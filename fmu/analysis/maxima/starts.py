@@ -125,11 +125,10 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
     """Return the maxima of a plain log-density if they are better starting points than its prior, otherwise None.
 
-    They are better if there are several or there is no prior, provided that the mass is around the maxima, unlike
-    in a funnel.
+    They are better if there are several, of which even an improbable one can catch chains, or if there is no
+    prior, provided that the mass is around the maxima, unlike in a funnel.
     """
-    several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
-    return maxima if maxima.are_weighed and (several or not has_prior(density)) else None
+    return maxima if maxima.are_weighed and (len(maxima) > 1 or not has_prior(density)) else None
 
 
 def middle(problem: Any) -> Quadratic:

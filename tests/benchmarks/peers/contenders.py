@@ -27,9 +27,10 @@ POSTERIORS = (
 IN_JAX = ("cantilever-young", "cantilever-section", "shear-10dof", FRAME)
 WITH_NESTED = ("cantilever-young-shape", "cantilever-section-index", "shear-10dof-index", "garteur-shape")
 SEEDS = (1, 2, 3)
-OURS = ("mixture", "hmc", "mh", "slice", "emcee")
+OURS, OURS_LATER = ("mixture", "hmc"), ("mh", "slice", "emcee")
 COSTLY = {"garteur": 0.25, "cantilever-frf": 0.25}
-"""Where a log-probability takes ten times as long: the share of the steps that the chains of peers have there."""
+"""Where a log-probability takes ten times as long: the share of the steps of the peers' chains there, and of the
+effective draws of fmu's samplers."""
 FMU, PEER = "fmu", "peer"
 
 
@@ -44,14 +45,17 @@ class Contender:
 
 
 def contenders(target: Target) -> Iterator[Contender]:
-    """Yield who takes part on a target."""
+    """Yield who takes part on a target, those first that matter most if the time is short."""
     # packages of the extra "bench" alone
     from tests.benchmarks.peers.chains import pints_adaptive
     from tests.benchmarks.peers.nuts import numpyro_nuts, nutpie_nuts
 
-    for name in OURS:
-        yield Contender(name, FMU, SEEDS, lambda seed, name=name: fmu_run(target, name, seed, ENOUGH))
     share = COSTLY.get(target.case, 1.0)
+
+    def ours(name: str) -> Contender:
+        return Contender(name, FMU, SEEDS, lambda seed: fmu_run(target, name, seed, share * ENOUGH))
+
+    yield from map(ours, OURS)
     warmup, draws = int(1000 * share), int(500 * share)
     for label, moves in (
         ("emcee, default moves", ensembles.stretch),
@@ -68,6 +72,7 @@ def contenders(target: Target) -> Iterator[Contender]:
         yield Contender(label, PEER, SEEDS, partial(nutpie_nuts, target, adaptation, warmup, draws))
     run = partial(pints_adaptive, target, int(3000 * share), int(9000 * share))
     yield Contender("PINTS adaptive MH", PEER, SEEDS[:1], run)
+    yield from map(ours, OURS_LATER)
     if target.key in WITH_NESTED:
         for label, sampler in (
             ("nautilus", nested.nautilus),
@@ -77,6 +82,6 @@ def contenders(target: Target) -> Iterator[Contender]:
             ("pocoMC", nested.pocomc),
         ):
             yield Contender(
-                label, PEER, SEEDS[:1],
+                label, PEER, SEEDS[-1:],  # after all others
                 lambda seed, sampler=sampler: nested.nested_run(target, sampler, seed, ENOUGH),
             )  # fmt: skip

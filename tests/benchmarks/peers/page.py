@@ -8,13 +8,12 @@ import numpy as np
 
 from fmu.numbers import significant, whole, with_sd
 from fmu.tables import markdown_table
-from tests.benchmarks.peers.contenders import COSTLY, ENOUGH, FMU, PEER, SEEDS
+from tests.benchmarks.peers.contenders import COSTLY, ENOUGH, FMU, OURS, PEER, SEEDS
 from tests.benchmarks.peers.nested import MOST_CALLS, MOST_S
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.rows import FAR, GOOD, NEAR_ENOUGH, Row, deviation, doubts, reference
 from tests.benchmarks.table import machine
 
-OURS = ("mixture", "hmc")
 UNITS = (("evaluations", "evaluation"), ("cpu_s", "second"))
 WANTED = {"shear-10dof": 2.0, "garteur": 2.0, "frame-50": 2.0}
 """How many times the best peer the better of mixture and HMC should be, all counted."""
@@ -41,7 +40,8 @@ compilation is not counted.
 - **PINTS**: its default, four chains of 3000 + 9000 steps.
 - **nautilus, dynesty, UltraNest, nessai, pocoMC**: their defaults on four of the posteriors, on prior and
   likelihood over the unit cube, at most {calls} likelihoods and {minutes} minutes of one core.
-- On {costly}, whose log-probability takes ten times as long, chains of peers have a quarter of these steps.
+- On {costly}, whose log-probability takes ten times as long, chains of peers have a quarter of these steps,
+  and fmu's samplers run to a quarter of the effective draws.
 - *Means, se*: how far the means are from those of the reference, in standard errors, the largest over the
   parameters; the reference is the peer with whose means most others agree. emcee's snooker move (up to version
   3.1.6) accepts by another factor than that of its authors, ter Braak & Vrugt (2008).

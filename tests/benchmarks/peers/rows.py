@@ -100,7 +100,7 @@ def reference(rows: Sequence[Row]) -> Row:
 
     Of several the one with most effective draws: emcee's snooker move has many, and is off where all others agree.
     """
-    peers = [row for row in rows if not row.ours]
+    peers = [row for row in rows if not row.ours] or rows  # where no peer has run yet
     good = [row for row in peers if row.ended and not row.rhat > GOOD] or peers
 
     def support(row: Row) -> tuple[int, float]:

@@ -154,6 +154,7 @@ class Meter:
         """Count all evaluations of the target's kind of likelihood, copies of it included."""
         kind, inside = type(self.target.problem.likelihood), [False]
         costs = dict.fromkeys(_VALUES, 1.0) | dict.fromkeys(_GRADIENTS, self.target.gradient_cost)
+        costs = {name: cost for name, cost in costs.items() if hasattr(kind, name)}
         own = {name: vars(kind)[name] for name in costs if name in vars(kind)}
         try:
             for name, cost in costs.items():
