@@ -329,8 +329,7 @@ class ModalData:
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
-        Modes with frequency NaN are left out, also of `tests`. The pooled scatter of `tests` is then that of the
-        other modes, while `sd_hz` stays as it was.
+        Modes with frequency NaN are left out, also of `tests`, whose pooled scatter changes; `sd_hz` does not.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 

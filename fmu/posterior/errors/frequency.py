@@ -67,11 +67,8 @@ class FrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raises
-        ------
-        ValueError
-            If standard deviations or weights are missing or do not fit the data, an inferred standard deviation
-            has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
+        Raise ValueError if standard deviations or weights are missing or do not fit the data, an inferred standard
+        deviation has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
         sd = self.sd
@@ -115,11 +112,8 @@ class BetaFrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raises
-        ------
-        ValueError
-            If `beta` is not positive and finite, has a wrong length, or is given although the data have an
-            uncertainty.
+        Raise ValueError if `beta` is not positive and finite, has a wrong length, or is given although the data
+        have an uncertainty.
         """
         known = data.sd_hz is not None or data.covariance_hz2 is not None
         if self.beta is None and known:
