@@ -35,7 +35,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     """A `ModalLikelihood` with model discrepancy: parameters that scatter over the modes, or errors of the modes.
 
     Parameters that scatter are θ + s τ z_g in mode g. To first order in τ, the mode's residuals (of frequency and
-    shape in all tests) are Gaussian, with covariance I + J T² Jᵀ in measurement sds, where T = diag(s τ). All tests
+    shape in all tests) are Gaussian, with covariance I + J T² Jᵀ in measurement sds and T = diag(s τ). All tests
     share z_g: model error does not average out. A mode's term in a later test is conditional on the earlier tests.
 
     Parameters

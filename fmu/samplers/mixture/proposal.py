@@ -274,7 +274,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
     """Return the warp with which the log-density is most nearly quadratic.
 
-    A coordinate with a lower bound takes or loses the logarithm if this reduces the misfit of enough points by 30 %.
+    A coordinate with a lower bound takes or loses the logarithm if that cuts the misfit of enough points by 30 %.
     """
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
