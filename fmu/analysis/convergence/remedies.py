@@ -204,7 +204,8 @@ def for_too_few_draws(
         return ""  # another message already asks for more chains
     if are_apart or (places != "one" and np.max(table["rhat"].to_numpy()) > APART):
         return for_missed_maximum(trace)
-    growth = np.max([growth_needed(table, required, lengths), rhat_excess(table), growth_for_candidates(trace)])
+    excess = np.fmax(rhat_excess(table), growth_for_candidates(trace))  # R-hat of a single ensemble is NaN
+    growth = np.maximum(growth_needed(table, required, lengths), excess)
     if not np.isfinite(growth):
         return ""
     margin = _MARGIN if lengths is None else _MARGIN_OF_STEPS

@@ -43,8 +43,9 @@ compilation is not counted.
 - On {costly}, whose log-probability takes ten times as long, chains of peers have a quarter of these steps,
   and fmu's samplers run to a quarter of the effective draws.
 - *Means, se*: how far the means are from those of the reference, in standard errors, the largest over the
-  parameters; the reference is the peer with whose means most others agree. emcee's snooker move (up to version
-  3.1.6) accepts by another factor than that of its authors, ter Braak & Vrugt (2008).
+  parameters; the reference is the peer with whose means most others agree, one with a log-evidence if there is
+  one. emcee's snooker move (up to version 3.1.6) accepts by another factor than that of its authors, ter Braak &
+  Vrugt (2008).
 - *Right*: the run has ended by itself (fmu's: its verdict is good), its chains agree (R-hat below {good}), its
   means are within {far} standard errors, and its log-evidence within {far} of the best peer's, or within {near}.
 

@@ -99,9 +99,11 @@ def reference(rows: Sequence[Row]) -> Row:
     """Return the peer with whose means most others agree, of those that ended and whose chains agree.
 
     Of several the one with most effective draws: emcee's snooker move has many, and is off where all others agree.
+    Peers with a log-evidence come first: all chains may agree on a maximum of no weight.
     """
     peers = [row for row in rows if not row.ours] or rows  # where no peer has run yet
     good = [row for row in peers if row.ended and not row.rhat > GOOD] or peers
+    good = [row for row in good if row.evidence() is not None] or good
 
     def support(row: Row) -> tuple[int, float]:
         agreeing = sum(_distance(row, other) < FAR for other in good)
