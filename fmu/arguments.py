@@ -13,7 +13,7 @@ import builtins
 import inspect
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from pathlib import Path
 from types import FunctionType
@@ -91,6 +91,16 @@ class ArgumentError(ValueError):
         """Return the error with `old` replaced by `new` at the beginning of its key. Other keys are unchanged."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
+
+
+def first_repeated(values: Sequence[Hashable]) -> int | None:
+    """Return the index of the first value that is equal to an earlier one, or None if all values differ."""
+    seen: set[Hashable] = set()
+    for i, value in enumerate(values):
+        if value in seen:
+            return i
+        seen.add(value)
+    return None
 
 
 class MissingFileError(ArgumentError, FileNotFoundError):

@@ -96,7 +96,7 @@ class Ensemble(Sampler):
 
         target, moves = _Tally(density), self.weighted_moves(density.ndim)
         sampler = emcee.EnsembleSampler(self.walkers, density.ndim, target, moves=moves, vectorize=True)
-        return EnsembleKernel(target, sampler)
+        return EnsembleKernel(target, sampler, np.random.RandomState(0))
 
     def weighted_moves(self, ndim: int) -> list[tuple[Move, float]]:
         """Return emcee's moves for `ndim` coordinates, with their weights.
@@ -117,10 +117,14 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Kernel of an ensemble sampler. State.position is (chains, walkers, ndim), with one ensemble per chain."""
+    """Kernel of an ensemble sampler. State.position is (chains, walkers, ndim), with one ensemble per chain.
+
+    `generator` is seeded anew for every step; making a new one would take ten times as long.
+    """
 
     target: _Tally
     sampler: EnsembleSampler
+    generator: np.random.RandomState
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting points, at one solve per walker.
@@ -156,14 +160,10 @@ class EnsembleKernel:
         """Move one ensemble by one emcee step and return emcee's state."""
         import emcee
 
-        _GENERATOR.seed(rng.integers(2**32, size=8, dtype=np.uint32))
-        self.sampler.random_state = _GENERATOR.get_state()
+        self.generator.seed(rng.integers(2**32, size=8, dtype=np.uint32))
+        self.sampler.random_state = self.generator.get_state()
         start = emcee.State(position, log_prob=log_prob, copy=True)
         return next(self.sampler.sample(start, iterations=1, store=False, skip_initial_state_check=True))
-
-
-_GENERATOR = np.random.RandomState(0)
-"""Seeded anew for every step. A new generator would take ten times as long."""
 
 
 class _Tally(Target):

@@ -115,8 +115,7 @@ def leave_out_by_tests(
         of_others: Any = others.likelihood
         given = _expand(others, known.typical, known.scales)
         proposal = _approximate(others, given, main, scales, steps)
-        heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
-        new = proposal.mean + proposal.scatter(heavy[..., None] * rng.standard_normal(z.shape) * of.scored)
+        new = proposal.draw(rng, _NU)
         at = of.put(main, proposal.bend(new))
 
         def solve(rows: FloatArray, of_others: Any = of_others) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fmu.analysis.plan.sensors.choice import Limits, near_pairs
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, first_repeated
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant
 from fmu.types import Dof, FloatArray, IntArray
@@ -163,11 +163,9 @@ def group_candidates(
     `find_candidates` describes the arguments and errors.
     """
     for key, sensors in (("candidates", given), ("mounted", mounted)):
-        seen: set[Dof] = set()
-        for i, (place, direction) in enumerate(sensors):
-            if (place, direction) in seen:
-                raise ArgumentError(f"{key}.{i}", "must be given once", repr([place, direction]))
-            seen.add((place, direction))
+        twice = first_repeated([(place, direction) for place, direction in sensors])
+        if twice is not None:
+            raise ArgumentError(f"{key}.{twice}", "must be given once", repr(list(sensors[twice])))
     fixed = [(place, direction) for place, direction in mounted]
     free = [dof for dof in dict.fromkeys(given) if dof[0] not in exclude and dof not in fixed]
     if not free:

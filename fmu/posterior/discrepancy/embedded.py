@@ -23,7 +23,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from annotated_types import Interval
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, check_arguments, first_repeated
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter, require_name
 from fmu.posterior.priors.one_sided import HalfNormal
@@ -196,9 +196,9 @@ def require_distinct_names(discrepancies: Sequence[Discrepancy], of_frequencies:
     The last two arguments state whether there are measurement errors of frequencies and of shapes.
     """
     names = [one.label for one in discrepancies if one.infers(of_frequencies, of_shapes)]
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    twice = first_repeated(names)
     if twice is not None:
-        raise ArgumentError("discrepancy.name", "must be different for each discrepancy", twice)
+        raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[twice])
 
 
 def _size(parameter: Parameter) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, first_repeated
 from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import ParametricMatrix, Term
@@ -159,7 +159,7 @@ def _masters(model: SeparableModel, sensors: Sequence[tuple[Any, str]]) -> NDArr
             "sensors", "for the modal residual they must be degrees of freedom, without arms or signs"
         )
     found = np.asarray(rows.indices, dtype=np.intp)
-    twice = next((k for k, dof in enumerate(found) if dof in found[:k]), None)
+    twice = first_repeated(found.tolist())
     if twice is not None:
         rule = "for the modal residual they must be at different degrees of freedom; average those at the same one"
         raise ArgumentError("sensors", rule, sensors[twice])

@@ -306,9 +306,7 @@ class GibbsKernel(MovesWithErrors):
             z = of.scores.take(theta)
             other, log_ratio = self._propose(rng, z, normal)
             local = rng.random(z.shape[:2]) < by_local
-            heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
-            step = here.scatter(heavy[..., None] * rng.standard_normal(z.shape) * of.scores.scored)
-            new = np.where(local[..., None], here.mean + step, other)
+            new = np.where(local[..., None], here.draw(rng, _NU), other)
             candidate = of.scores.put(theta, new)
             new_fit = self.fit_at(candidate)
             there = of.approximate_here(candidate, new_fit["residuals"], new_fit["slopes"], test, scales)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.arguments import ArgumentError, shown
+from fmu.arguments import ArgumentError, first_repeated, shown
 from fmu.formats.modes.measured_modes import is_node
 from fmu.numbers import given, significant, whole
 from fmu.types import BoolArray, ComplexArray, Dof, FloatArray
@@ -142,10 +142,12 @@ def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
     ValueError
         If an FRF has no values at all, or a label occurs twice.
     """
-    twice = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
+    twice = first_repeated(labels)
     if twice is not None:
         advice = "; average repeated FRFs with FRFData.from_hits"
-        raise ArgumentError("responses", "each pair of response and drive must be there once", twice, advice)
+        raise ArgumentError(
+            "responses", "each pair of response and drive must be there once", labels[twice], advice
+        )
     empty = missing.all(axis=1)
     if empty.any():
         at = int(np.argmax(empty))

@@ -133,8 +133,7 @@ def scatter_about_typical(
         inside &= marginal.log_prob_and_grad(w, theta, known.scales)[0] > least[left]
         theta[~inside] = centre[left][~inside]
         normal = given.approximate(theta, known.scales)
-        z = normal.bend(normal.mean + normal.scatter(share[left, :, None] * of_scores[left]))
-        theta = given.scores.put(theta, z)
+        theta = given.scores.put(theta, normal.restore(share[left, :, None] * of_scores[left]))
         theta[:, marginal.columns] += share[left] * of_errors[left] @ known.by_errors.T
         theta = problem.layout.restore_scores(theta)
         good = inside & np.isfinite(problem.log_prob(theta[:, : problem.ndim]))
@@ -204,7 +203,7 @@ def _acceptance(
     if populations.n_populations < len(scores.layout.drawn):
         return 0.0
     rng, normal = np.random.default_rng(2), scores.approximate(theta, scales)
-    z = normal.bend(normal.mean + normal.scatter(rng.standard_normal(normal.mean.shape) * normal.scored))
+    z = normal.restore(rng.standard_normal(normal.mean.shape) * normal.scored)
     log_ratio = populations.propose(rng, scores.scores.put(theta, z)).log_ratio
     return float(np.exp(np.minimum(log_ratio, 0.0)).mean(axis=0).min())
 

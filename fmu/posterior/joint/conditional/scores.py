@@ -197,6 +197,11 @@ class Normal(NamedTuple):
         """Transform standard normal numbers u to scores, shape (n, n_tests, p); the inverse of `standardise`."""
         return self.bend(self.mean + self.scatter(u))
 
+    def draw(self, rng: np.random.Generator, nu: float) -> FloatArray:
+        """Draw straightened scores, (n, n_tests, p), from the Student's t distributions of `log_density`."""
+        heavy = np.sqrt(nu / rng.chisquare(nu, self.mean.shape[:2]))
+        return self.mean + self.scatter(heavy[..., None] * rng.standard_normal(self.mean.shape) * self.scored)
+
     def select(self, chosen: BoolArray, other: Normal) -> Normal:
         """Return these distributions for the tests that are `chosen`, (n, n_tests), and `other` for the rest.
 
