@@ -57,13 +57,14 @@ def contenders(target: Target) -> Iterator[Contender]:
 
     yield from map(ours, OURS)
     warmup, draws = int(1000 * share), int(500 * share)
+    of_walkers = share * ensembles.LEAST_WALKERS / ensembles.walkers_for(target.problem.ndim)
     for label, moves in (
         ("emcee, default moves", ensembles.stretch),
         ("emcee, DE and snooker", ensembles.differential),
         ("emcee, moves of fmu's", ensembles.as_fmu),
         ("emcee, fmu.MixtureMove", ensembles.mixture),
     ):
-        run = partial(ensembles.emcee_run, target, moves, int(500 * share), int(750 * share))
+        run = partial(ensembles.emcee_run, target, moves, int(500 * of_walkers), int(750 * of_walkers))
         yield Contender(label, PEER, SEEDS, run)
     if target.case in IN_JAX:
         for label, dense in (("NumPyro NUTS", False), ("NumPyro NUTS, dense mass matrix", True)):

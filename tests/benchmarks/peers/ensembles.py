@@ -14,12 +14,13 @@ from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
 ENSEMBLES = 4
 """Runs from starts of their own, as emcee's users do it to see whether they agree."""
+LEAST_WALKERS = 32
 Moves = Callable[[Target], Any]
 
 
 def walkers_for(ndim: int) -> int:
     """Return how many walkers an ensemble has."""
-    return max(32, 2 * ndim + 2)
+    return max(LEAST_WALKERS, 2 * ndim + 2)
 
 
 def stretch(target: Target) -> None:

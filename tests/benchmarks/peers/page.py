@@ -32,7 +32,7 @@ gradient counts as the time that it takes, of the same model and in batches of f
 compilation is not counted.
 
 - **fmu**: as `fmu run --until-ess {enough}` runs each sampler, the search for maxima included.
-- **emcee**: four ensembles of 32 walkers (of 2 n + 2 with more parameters), 500 + 750 steps;
+- **emcee**: four ensembles of 32 walkers (of 2 n + 2 with more parameters), 16 000 + 24 000 evaluations each;
   its default moves, differential evolution with snooker, the moves of fmu's sampler, and `fmu.MixtureMove` with
   differential evolution.
 - **NUTS**: four chains, 1000 + 500 steps, in coordinates without bounds, as the libraries treat bounds: NumPyro's
