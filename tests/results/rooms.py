@@ -1,13 +1,15 @@
-"""The rooms of the package that a study depends on, and a digest of the code in each.
+"""The rooms of the package that a study depends on, and a digest of the code that it imports from each.
 
-A room is a folder or a module of ``fmu/``. A study depends on it if imports lead there from the study's modules,
-wherever they are written. Comments, docstrings and empty lines are no code.
+A room is a folder or a module of ``fmu/``. A study depends on a module if imports lead there from the study's
+modules, wherever they are written, and on the data files of every room that it imports from. Comments, docstrings
+and empty lines are no code.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -22,7 +24,7 @@ _DOCSTRING = re.compile(rf"(^[ \t]*[rR]?{_TEXT}[ \t]*$)|{_TEXT}", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
 _PUBLIC = re.compile(r"\bfmu\.(\w+)")
 _STUB = re.compile(r"^from \.([\w.]*) import (\w+) as \w+$", re.MULTILINE)
-_NO_CODE = (".pyc", ".png", ".nc")
+NOT_READ = (".pyc", ".png", ".nc")
 
 
 def code_of(source: str) -> str:
@@ -46,20 +48,20 @@ def digests(root: Path, modules: Iterable[str]) -> dict[str, str]:
     ValueError
         If the project has no such module.
     """
-    files = _reached(root, modules)
-    inside = [path.relative_to(root).parts for path in files]
-    rooms = sorted({parts[1].removesuffix(".py") for parts in inside if parts[0] == "fmu"})
-    own = [
-        path
-        for path, parts in zip(files, inside, strict=True)
-        if parts[0] == TESTS and path.relative_to(root).as_posix() not in MACHINERY
-    ]
-    return {room: _digest_of_room(root / "fmu" / room) for room in rooms} | ({TESTS: _digest(own)} if own else {})
+    of_room = defaultdict[str, set[Path]](set)
+    for path in _reached(root, modules):
+        package, inside, *_ = path.relative_to(root).parts
+        if package == "fmu":
+            room = inside.removesuffix(".py")
+            of_room[room] |= {path, *_data_of(root / "fmu" / room)}
+        elif path.relative_to(root).as_posix() not in MACHINERY:
+            of_room[TESTS].add(path)
+    return {room: _digest(of_room[room]) for room in sorted(of_room)}
 
 
 def forget() -> None:
     """Forget what was read: files may have been edited since."""
-    for reader in (_file_of, _imported, _public, _digest_of_room):
+    for reader in (_file_of, _leads_to, _imported, _public, _data_of, _content_of):
         reader.cache_clear()
 
 
@@ -73,17 +75,25 @@ def _reached(root: Path, modules: Iterable[str]) -> list[Path]:
 
     A package is run by its ``__main__.py``.
     """
-    wanted, found = set(modules), set()
-    for name in wanted:
+    names = [*modules]
+    wanted = {path for name in (*names, *(f"{name}.__main__" for name in names)) if (path := _file_of(root, name))}
+    for name in names:
         if _file_of(root, name) is None:
             raise ValueError(f"no module {name} in {root}")
-    wanted |= {f"{name}.__main__" for name in wanted}
+    found: set[Path] = set()
     while wanted:
-        path = _file_of(root, wanted.pop())
-        if path is not None and path not in found:
-            found.add(path)
-            wanted |= _imported(path)
+        path = wanted.pop()
+        found.add(path)
+        wanted |= _leads_to(root, path) - found
     return sorted(found)
+
+
+@cache
+def _leads_to(root: Path, path: Path) -> frozenset[Path]:
+    """Return the files that a file imports from, and those with which its packages start."""
+    above = (parent / "__init__.py" for parent in path.parents if root in parent.parents)
+    imported = (_file_of(root, name) for name in _imported(root, path))
+    return frozenset(one for one in (*above, *imported) if one and one.is_file())
 
 
 @cache
@@ -101,37 +111,46 @@ def _file_of(root: Path, module: str) -> Path | None:
 
 
 @cache
-def _imported(path: Path) -> frozenset[str]:
-    """Return what a file imports; public names of ``fmu`` come from the modules that its stub names."""
+def _imported(root: Path, path: Path) -> frozenset[str]:
+    """Return what a file imports. Names of a package with a stub come from the modules that the stub names."""
     text, names = path.read_text(encoding="utf-8"), set()
     for module, parts, whole in _IMPORT.findall(text):
         names.add(whole or module)
         names |= {f"{module}.{name}" for name in re.findall(r"\w+", re.sub(r" as \w+", "", parts))}
-    root = next(parent for parent in path.parents if (parent / "fmu").is_dir() and parent.name != "fmu")
     if "fmu" in names:
-        public = _public(root / "fmu" / "__init__.pyi")
+        public = _public(root, root / "fmu" / "__init__.pyi")
         names |= {public[name] for name in _PUBLIC.findall(text) if name in public}
+    stub = path.with_suffix(".pyi")
+    if stub.is_file() and path.parent != root / "fmu":
+        names |= {*_public(root, stub).values()}
     return frozenset(names)
 
 
 @cache
-def _public(stub: Path) -> dict[str, str]:
-    """Return the modules of the public names."""
+def _public(root: Path, stub: Path) -> dict[str, str]:
+    """Return the modules of the public names, keyed by name."""
+    package = ".".join(stub.parent.relative_to(root).parts)
     found = _STUB.findall(stub.read_text(encoding="utf-8"))
-    return {name: f"fmu.{module}" if module else f"fmu.{name}" for module, name in found}
+    return {name: f"{package}.{module or name}" for module, name in found}
 
 
 @cache
-def _digest_of_room(room: Path) -> str:
-    """Return the digest of a folder, or of the module that has this name."""
-    files = (path for path in room.rglob("*") if path.is_file()) if room.is_dir() else [room.with_suffix(".py")]
-    return _digest(path for path in files if path.suffix not in _NO_CODE)
+def _data_of(room: Path) -> frozenset[Path]:
+    """Return the files of a folder that are no modules: data and templates."""
+    files = (path for path in room.rglob("*") if path.is_file())
+    return frozenset(path for path in files if path.suffix not in (".py", *NOT_READ))
 
 
 def _digest(files: Iterable[Path]) -> str:
     """Return eight hexadecimal digits for names and code of files."""
     found = hashlib.sha256()
     for path in sorted(files):
-        text = path.read_text(encoding="utf-8", errors="replace")
-        found.update(f"{path.name}\n{code_of(text) if path.suffix == '.py' else text}\n".encode())
+        found.update(_content_of(path))
     return found.hexdigest()[:8]
+
+
+@cache
+def _content_of(path: Path) -> bytes:
+    """Return the name of a file and what a digest is made of: its code, or all of its text."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return f"{path.name}\n{code_of(text) if path.suffix == '.py' else text}\n".encode()

@@ -12,6 +12,7 @@ FILES = {
     "fmu/types.py": "Array = list\n",
     "fmu/fem/beam.py": '"""Beams."""\n\nE = 1.0  # Pa\n',
     "fmu/fem/plate.py": "",
+    "fmu/fem/steel.toml": "E = 2.0e11\n",
     "fmu/report/page.py": "",
     "tests/study.py": STUDY,
 }
@@ -20,7 +21,7 @@ FILES = {
 @pytest.fixture
 def project(tmp_path):
     def write(number, **edits):
-        root = tmp_path / str(number)
+        root = tmp_path / str(number) / "fmu"  # as a clone is called
         for name, text in (FILES | edits).items():
             (root / name).parent.mkdir(parents=True, exist_ok=True)
             (root / name).write_text(text, encoding="utf-8")
@@ -38,7 +39,8 @@ def test_rooms_are_those_that_imports_lead_to_lazy_ones_too(project):
     [
         ("fmu/fem/beam.py", '"""Beams, slender."""\n\n# as in books\nE = 1.0  # Pa\n\n', None),
         ("fmu/fem/beam.py", '"""Beams."""\n\nE = 2.0  # Pa\n', "fem"),
-        ("fmu/fem/plate.py", "t = 1.0\n", "fem"),
+        ("fmu/fem/plate.py", "t = 1.0\n", None),
+        ("fmu/fem/steel.toml", "E = 2.1e11\n", "fem"),
         ("fmu/report/page.py", "title = 1\n", None),
         ("fmu/types.py", "Array = tuple\n", "types"),
         ("tests/study.py", STUDY + "print(1)\n", "tests"),
@@ -53,18 +55,37 @@ def test_a_new_import_brings_its_room(project):
     assert changed(project(1), after) == ["report", "types"]
 
 
+def test_a_module_brings_the_first_lines_of_its_packages_and_their_stubs(project):
+    package = {
+        "fmu/fem/__init__.py": "attach_stub(__name__)\n",
+        "fmu/fem/__init__.pyi": "from .plate import t as t\n",
+    }
+    before = project(1, **package)
+    assert changed(before, project(2, **package, **{"fmu/fem/plate.py": "t = 1.0\n"})) == ["fem"]
+    assert changed(before, project(3, **(package | {"fmu/fem/__init__.py": "import fmu.report.page\n"}))) == [
+        "fem",
+        "report",
+    ]
+
+
 def test_a_package_leads_where_its_main_module_does(project, tmp_path):
     project(1, **{"tests/study/__init__.py": "", "tests/study/__main__.py": STUDY})
-    (tmp_path / "1" / "tests" / "study.py").unlink()
+    (tmp_path / "1" / "fmu" / "tests" / "study.py").unlink()
     forget()
-    assert set(digests(tmp_path / "1", ["tests.study"])) == {"__init__", "sampling", "types", "fem", "tests"}
+    assert set(digests(tmp_path / "1" / "fmu", ["tests.study"])) == {
+        "__init__",
+        "sampling",
+        "types",
+        "fem",
+        "tests",
+    }
 
 
 def test_an_edit_is_seen_after_forgetting_what_was_read(project, tmp_path):
     before = project(1)
-    (tmp_path / "1" / "fmu" / "types.py").write_text("Array = tuple\n", encoding="utf-8")
+    (tmp_path / "1" / "fmu" / "fmu" / "types.py").write_text("Array = tuple\n", encoding="utf-8")
     forget()
-    assert changed(before, digests(tmp_path / "1", ["tests.study"])) == ["types"]
+    assert changed(before, digests(tmp_path / "1" / "fmu", ["tests.study"])) == ["types"]
 
 
 def test_texts_in_the_code_are_code():
