@@ -18,8 +18,8 @@ LAG = 10.0
 """Largest difference between the log-density of a chain in the bulk and the value that at least half of the
 chains reach; one more is allowed per coordinate."""
 WINDOW_LAG = 3.0
-"""The same for means over a window, with one half more per coordinate, because a mean scatters less than a single
-draw."""
+"""The same difference for means over a window, which scatter less than single draws; one half more is allowed per
+coordinate."""
 STUCK = 0.3
 """Smallest acceptance rate of a chain that is not stuck, relative to the median over the chains."""
 SHRINKAGE = 5.0
@@ -70,10 +70,10 @@ class Schedule:
     def sliding(cls, steps: int) -> Schedule:
         """Return a schedule in which each window covers the later half of all steps so far.
 
-        Each window closes 10 % (at least 10 steps) later than the previous one, and the last at the end of the
-        second part. The first windows close during the first part. A warm-up of fewer than 30 steps has no
-        windows. This schedule suits a sampler that mixes slowly until it knows the target's covariance: the
-        estimate improves from window to window.
+        Each window closes 10 % (at least 10 steps) later than the previous one. The last window closes with the
+        second part. In a warm-up of more than 100 steps, the first windows close during the first part. A warm-up
+        of fewer than 30 steps has no windows. This schedule suits a sampler that mixes slowly until it knows the
+        target's covariance: the estimate improves from window to window.
         """
         first, last = int(0.25 * steps), int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -101,7 +101,7 @@ class DualAveraging:
     target : float
         The acceptance rate δ.
     count, error, centre, average
-        t, H̄_t, μ and x̄_t, the state of the recursion; omitted for a new recursion.
+        t, H̄_t, μ and x̄_t, the state of the recursion. The defaults start a new recursion with μ = x + log 10.
     """
 
     log_value: FloatArray
@@ -216,10 +216,10 @@ class Learner:
 def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
     """Return the regularised covariance of all chains' draws, shape (ndim, ndim).
 
-    Chains that lag behind, are trapped or hardly move are excluded. So are single draws with a far lower
-    log-density; this loses only the far tails of the target. The covariance is shrunk towards its own diagonal
-    with the weight of five draws, so the units of the parameters do not matter. (Stan shrinks towards a fixed
-    size, which would distort the covariance of a posterior much narrower than the prior.)
+    Chains that have not reached the bulk (see `find_arrived`) or hardly move are excluded. So are single draws
+    with a far lower log-density; this loses only the far tails of the target. The covariance is shrunk towards its
+    own diagonal with the weight of five draws, so the units of the parameters do not matter. (Stan shrinks towards
+    a fixed size, which would distort the covariance of a posterior much narrower than the prior.)
 
     Parameters
     ----------
@@ -254,9 +254,11 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
 def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
     """Return a mask (chains,) of the chains that have reached the bulk, the region where most chains are.
 
-    The criterion is each chain's (average) log-density, which scatters by only √(ndim/2) within one mode. A chain
-    with a far lower value is still approaching the bulk or trapped. One with a far higher value has found a spike,
-    or a mode that the other chains have not found yet. In either case its draws are of no use to the other chains.
+    The criterion is each chain's (average) log-density, which scatters by only √(ndim/2) within one mode. It may
+    differ by at most `allowance` from the value that at least half of the chains reach. A chain with a far lower
+    value is still approaching the bulk or trapped. One with a far higher value has found a spike, or a mode that
+    the other chains have not found yet. In either case its draws are of no use to the other chains.
+
     If `acceptance` is given, a chain must also accept at least `STUCK` times as often as the median chain, unless
     none of the chains in the bulk does.
     """

@@ -227,7 +227,7 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether the last window has closed and `_TRIALS` step sizes were tried. The first ones are too long."""
+        """Whether `_TRIALS` step sizes were tried after the last window closed. The first ones are too long."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 
@@ -245,9 +245,10 @@ class HamiltonianTuner:
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: FloatArray | float) -> int:
-        """Return the number of steps for the intended trajectory length, or for the longest of several step sizes.
+        """Return the number of steps that gives the intended trajectory length, at most `_MOST_STEPS`.
 
-        The present number is kept if `n_steps` is given or no metric is known.
+        If there are several step sizes, the largest one counts. The present number is kept if `n_steps` is given
+        or no metric is known.
         """
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps

@@ -55,14 +55,15 @@ class Info:
     Attributes
     ----------
     accepted : ndarray of bool, shape (chains,) or (chains, walkers)
-        Whether the chain left its previous position.
+        Whether the chain or walker left its previous position.
     log_prob : ndarray, shape of `accepted`
         Log-density at the position where the step ended.
     n_solves : ndarray of int, shape of `accepted`
-        Density evaluations within the bounds (one eigenproblem each) that the step took.
+        Density evaluations within the bounds (one eigenproblem each) that the step took, including those for
+        gradients.
     n_gradients : ndarray of int, shape of `accepted`
-        Gradients that the step took. An exact gradient also counts as one solve, a central-difference gradient as
-        ``2 ndim`` solves.
+        Gradients that the step took. An exact gradient costs the density's `solves_per_gradient` (1 by default), a
+        central-difference gradient ``2 ndim`` solves.
     extra : mapping of str to ndarray
         Statistics that only some samplers have, such as ``acceptance_rate``, ``energy``, ``diverging`` and
         ``n_steps``; recorded for every draw.
@@ -94,8 +95,8 @@ class Kernel(Protocol):
 class Sampler(ABC):
     """Base class of the samplers' settings, which are dataclasses.
 
-    A sampler that is listed in `registry` must set `name`, `title` and `colour`; the other attributes have
-    defaults.
+    Every sampler must set `name`. A sampler that is listed in `registry` must also set `title` and `colour`. The
+    other attributes have defaults.
 
     Attributes
     ----------
@@ -112,7 +113,7 @@ class Sampler(ABC):
     is_local : bool
         Whether the sampler takes local steps (see `LocalSampler`), which the mixture and tempering can then use.
     takes_maxima : bool
-        Whether the settings may depend on the maxima of the density; see `starting_from`.
+        Whether `fmu.sample` passes the maxima of the density to `starting_from`.
     learns_together : bool
         Whether all chains must be in one group, because they are tuned together.
     walkers : int
@@ -240,7 +241,8 @@ class Target:
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
         """Evaluate the density in one batch at all points of `position` (..., ndim) that are within the bounds.
 
-        `chain`, shape (...), is the index of each point's chain. If it is None, there is one point per chain.
+        `chain`, shape (...), is the index of each point's chain. If it is None, there is one point for each chain
+        or walker.
 
         Points outside the bounds are never evaluated. A point with a NaN coordinate counts as outside. A value
         that is not finite (a failed eigensolve) becomes ``-inf``, so only that point is rejected.
@@ -256,7 +258,7 @@ class Target:
         return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points, at one solve for each within the bounds; return the state and its `Info`.
+        """Evaluate the starting points within the bounds, at one solve each; return the state and its `Info`.
 
         The state has no gradients.
         """
@@ -267,6 +269,6 @@ class Target:
     def complete(self, state: State) -> tuple[State, Info | None]:
         """Add the gradient if a step needs it and the state lacks it; return the state and the evaluation's cost.
 
-        The cost is None if nothing was missing, as always in this class, which has no gradients.
+        The cost is None if nothing was evaluated. This class has no gradients and returns the state unchanged.
         """
         return state, None

@@ -30,10 +30,9 @@ class LocalSampler(Sampler):
         """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
     def take_covariance(self, covariance: FloatArray) -> Self:
-        """Return the settings with steps adapted to a covariance, shape (ndim, ndim).
+        """Return a copy whose steps are adapted to a covariance, shape (ndim, ndim).
 
-        Settings that already specify the steps, or whose tuner starts without a covariance, are returned
-        unchanged.
+        Settings that already specify the steps are returned unchanged, and so are all settings by default.
         """
         return self
 
@@ -49,7 +48,10 @@ class LocalKernel(ABC):
     target: Target
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points; raise ValueError if a gradient that the steps need is not finite."""
+        """Evaluate the starting points.
+
+        Raise ValueError if a log-density is finite but a gradient that the steps need is not.
+        """
         return self.target.start(positions)
 
     @abstractmethod
@@ -63,7 +65,7 @@ class LocalKernel(ABC):
         Parameters
         ----------
         kernels : sequence of kernels of this kind
-            The first is this kernel. The kernels may have different settings; their targets are ignored.
+            The first is this kernel, whose target the joint kernel keeps. The kernels may have different settings.
         chains : int
             Number of chains per kernel. The array contains the chains of the first kernel, then those of the
             second, and so on.
@@ -73,8 +75,8 @@ class LocalKernel(ABC):
 def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArray) -> BoolArray:
     """Return a mask of accepted candidates: True with probability min(1, exp(log_ratio)), elementwise.
 
-    A NaN is not accepted. Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092. log u is drawn as −x with x
-    exponential.
+    A NaN is not accepted. The logarithm of a uniform random number is drawn as −x with x exponential. Metropolis
+    et al. (1953), J. Chem. Phys. 21, 1087-1092.
     """
     return np.asarray(-rng.standard_exponential(log_ratio.shape) <= log_ratio)
 

@@ -273,10 +273,10 @@ class MetropolisTuner:
     sampling, which finds its own scale in every step. The random walk starts with the covariance of these draws,
     and each window improves it (Haario, Saksman & Tamminen 2001).
 
-    The random walk has the covariance s²·S, where S is the latest covariance learnt from a window. The scale s is
-    adapted until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44
-    in one dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion
-    (Andrieu & Thoms 2008, algorithm 4).
+    The random walk has the covariance s²·S, where S is the latest covariance learnt from a window, or
+    `START_SCALE`² times the identity before the first. The scale s is adapted until the acceptance rate, averaged
+    over the chains that have reached the bulk, is at its optimum: 0.44 in one dimension and 0.234 in many (Gelman,
+    Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion (Andrieu & Thoms 2008, algorithm 4).
     """
 
     def __init__(self, sampler: MetropolisHastings, density: LogDensity, steps: int) -> None:

@@ -19,7 +19,7 @@ SAMPLERS = {
 }
 """Module and class of each sampler's settings, keyed by name; a module is imported when it is first used."""
 COMPARED = ("mh", "slice", "hmc", "emcee", "mixture")
-"""Names of the samplers that are compared on one problem."""
+"""Names of the samplers that ``fmu compare`` runs."""
 BASELINE = "emcee"
 """Name of the sampler to whose cost the other samplers' costs are compared."""
 

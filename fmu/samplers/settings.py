@@ -119,7 +119,7 @@ def describe(settings: Any) -> dict[str, object]:
 
 
 def _make_plain(value: object) -> object:
-    """Return an equivalent, for JSON, of a value that JSON cannot represent; its `repr` if there is no other."""
+    """Return a value that JSON cannot represent as a dict, list or number if possible, otherwise as its `repr`."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
     table = mapping_in(value)
@@ -134,7 +134,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the usual numbers of solves that one step of all chains takes, in warm-up and after it.
+    """Return the typical numbers of solves that one step of all chains takes, in warm-up and after it.
 
     They are estimated from the sampler's mean costs over the built-in cases.
     """

@@ -161,7 +161,8 @@ class SliceKernel(LocalKernel):
 
         Each end is moved outwards until it is off the slice or its budget is used up. The budget is split between
         left and right in advance, so both ends and all chains can advance together. An end outside the bounds
-        counts as off the slice and takes no solve. Evaluations and expansions are added to `account`.
+        counts as off the slice and takes no solve. Evaluations and expansions are added to `account`, and
+        `interval` is overwritten.
         """
         ends = interval[:, :, 0]
         outward = np.multiply.outer([-1.0, 1.0], np.broadcast_to(self.width[..., i], len(x)))

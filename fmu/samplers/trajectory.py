@@ -186,7 +186,7 @@ class Drift(NamedTuple):
     position, momentum : ndarray, shape (n, ndim)
     n_bounces : ndarray of int, shape (n,)
     arrived : ndarray of bool, shape (n,)
-        False if the point needs more than its limit of bounces, or is not finite; it must then not be used.
+        False if the point needs more than its limit of bounces, or is not finite. Such a point must not be used.
     """
 
     position: FloatArray

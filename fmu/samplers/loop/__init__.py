@@ -1,4 +1,4 @@
 """The sampling loop that all samplers share: starting points, groups of chains, warm-up and draws.
 
-Reading order: starts, group, record, run.
+Reading order: starts, record, group, saving, run.
 """

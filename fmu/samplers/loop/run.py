@@ -40,7 +40,7 @@ _ENOUGH = 20  # number of steps below which diagnostics are not reliable
 
 
 class _RunningGroup:
-    """A group of chains in a run: its state, and the index of the first unsaved step of each phase."""
+    """A group of chains in a run: its state, and for each phase the index of the first unsaved step."""
 
     def __init__(self, index: int, chains: int, state: GroupState) -> None:
         self.index, self.state = index, state
@@ -197,7 +197,7 @@ class Run:
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
 
     def _advance(self, phase: str, target: int) -> None:
-        """Take `target` steps of a phase with every group; raise Interrupted or TooManyFailuresError otherwise."""
+        """Advance all groups to `target` steps of a phase; raise Interrupted or TooManyFailuresError otherwise."""
         behind = [group for group in self._groups if group.state.done[phase] < target]
         if not behind:
             return

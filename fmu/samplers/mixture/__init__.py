@@ -2,5 +2,5 @@
 
 A proposal drawn from the mixture is called a candidate. Reading order: `truncated_normal`, `quadratic`, `warp`,
 `importance`, `proposal`, `kernel`, `mixture`; then `curve`, `bent` and `curved`, for densities that are curved,
-hollow or infinite at a bound; then `warmup`.
+hollow or infinite at a bound; then `warmup`. The module `move` contains a move for emcee's own sampler.
 """

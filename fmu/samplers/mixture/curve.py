@@ -36,7 +36,7 @@ class Curve:
     and the log-scale s_k is linear, in the coordinates that precede k in `order`. The map is therefore triangular,
     and its determinant is a product. The shift straightens a banana; the log-scale straightens a funnel.
 
-    A margin is u_i itself, unless the density is infinite at one of the two bounds. It is then Φ⁻¹(I_t(a, b)) with
+    A margin is u_i itself, unless the density is infinite at one or both bounds. It is then Φ⁻¹(I_t(a, b)) with
     t = (u − lower)/(upper − lower), where I_t is the cumulative distribution function (CDF) of a beta
     distribution.
 
@@ -190,10 +190,10 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 
 
 def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Fit m_k and s_k as functions of the coordinates `others`; return the gain per point, and both coefficients.
+    """Fit m_k and s_k as functions of the coordinates `others`; return the gain per point, and their coefficients.
 
-    The coefficients have shape (n_features,). The gain is the rise in log-likelihood over a linear m_k and a
-    constant s_k, minus the rise expected from useless coefficients. It is -inf if there are too few points. The
+    The coefficients of each have shape (n_features,). The gain is the rise in log-likelihood over a linear m_k and
+    a constant s_k, minus the rise expected from useless coefficients. It is -inf if there are too few points. The
     fit alternates between weighted least squares for m_k and Fisher scoring for s_k (Harvey 1976, Econometrica 44,
     461-465).
     """
@@ -232,7 +232,8 @@ def fit_infinite_margins(
 
     Both are NaN for all other coordinates, for coordinates without two finite bounds, and everywhere if there are
     at most `_ENOUGH` effective points. A shape parameter below 1 means that the density is infinite at that bound;
-    uniform and exponential margins have 1. Here a density counts as infinite only if the parameter is below 0.8.
+    uniform and exponential margins have 1. Here a density counts as infinite only if the parameter and the
+    exponent from `_shape_at_zero` are both below 0.8.
     """
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):

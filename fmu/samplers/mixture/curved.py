@@ -143,7 +143,7 @@ def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Floa
 
 
 def _fit_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
-    """Fit curved Gaussians in the coordinates of `curve`; return them and their penalised log-likelihood."""
+    """Fit curved Gaussians in the coordinates of `curve`; return them and their penalised mean log-likelihood."""
     x, log_slope = curve.to_x(u)
     parts, score = fit_gaussians(x, weight)
     n = np.count_nonzero(curve.location) + np.count_nonzero(curve.scale)

@@ -49,10 +49,10 @@ class MixtureSampler(Sampler):
         components are fitted to the draws of local steps, which take up to half of the warm-up. If the density
         turns out to be curved, hollow or infinite at a bound, warm-up fits a `CurvedMixture` instead.
     weights : vector, optional
-        Weights of the components; equal by default.
+        Weights of the components; equal by default. A `CurvedMixture` has its own.
     bent : vector of bool, optional
-        Mask of the coordinates that the components transform to log(1 + 10 (u − lower)); see `Warp`. Chosen in
-        warm-up by default. If it is given, warm-up keeps components that fit fairly until it has many draws.
+        Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see `Warp`. Chosen in warm-up by
+        default. If it is given, warm-up keeps components that fit fairly until it has many draws.
     wide : float, optional
         Fraction of each component's weight that goes to its wider copies, which keep w bounded. By default warm-up
         chooses 0.05 if the candidates' effective sample size is at least 0.9 per candidate, otherwise 0.1.
@@ -61,7 +61,8 @@ class MixtureSampler(Sampler):
         sampling.
     local_steps, jumps : int
         Numbers of local steps and of candidates per cycle. By default `jumps` is 39, or 79 if `wide` is below 0.1.
-        If `local` is given and at least half of the steps are local, the sampler takes the name of `local`; see
+        Warm-up replaces both if candidates are rarely accepted or the mixture is curved, unless at least half of
+        the steps are local. If, in addition, `local` is given, the sampler takes the name of `local`; see
         `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
@@ -69,8 +70,8 @@ class MixtureSampler(Sampler):
     Raises
     ------
     ValueError
-        If a setting is out of range, the number of weights differs from the number of components, or `adapt` is
-        False and there are no components.
+        If a setting is out of range, `components` is empty, the number of weights differs from the number of
+        components, or `adapt` is False and there are no components.
 
     References
     ----------
@@ -133,7 +134,10 @@ class MixtureSampler(Sampler):
     def starting_from(
         self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> Self:
-        """Return a copy that starts from these components and weights, or `self` if `components` was given."""
+        """Return a copy that starts from these components and weights, or `self` if `components` was given.
+
+        If `warp` is given, the components are transformed to its coordinates.
+        """
         if self.components is not None:
             return self
         given = replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))

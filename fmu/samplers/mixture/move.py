@@ -20,7 +20,7 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import BoolArray, FloatArray
 
 _FIRST_FIT = 10
-"""Number of warm-up steps before the first fit of the mixture; it is refitted whenever this number has doubled."""
+"""Number of warm-up steps before the first fit of the mixture, which is refitted whenever their number doubles."""
 _MOST_POINTS = 4000
 _FAR = 10.0
 """Walkers whose log-probability is this far below the median, plus one per coordinate, are not used in a fit."""
@@ -162,9 +162,9 @@ class Proposal:
     ) -> Proposal | None:
         """Fit a proposal to points (n, ndim); return None if they are too few or do not span the space.
 
-        Points with a log-probability far below the median are left out. A coordinate with two finite bounds is
-        scaled by the distance between them; any other coordinate is scaled by the standard deviation of the
-        points.
+        Points with a log-probability that is not finite or far below the median are left out. A coordinate with
+        two finite bounds is scaled by the distance between them; any other coordinate is scaled by the standard
+        deviation of the points.
         """
         ndim = position.shape[1]
         near = np.isfinite(log_prob)

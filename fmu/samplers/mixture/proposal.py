@@ -24,8 +24,7 @@ from fmu.types import FloatArray
 MOST = 8
 """Largest number of components of a mixture."""
 GOOD, POOR = 0.9, 0.6
-"""Effective share of the draws above which no component is split, and below which components are fitted by
-moments."""
+"""ESS per draw above which no component is split, and below which components are fitted by moments."""
 WIDE, LESS_WIDE = 0.1, 0.05
 """Share of the weight of a component that goes to its wider copies, which keep the weights P/q bounded: the usual
 share, and the share for a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 185-194."""
@@ -34,7 +33,7 @@ _POINTS = 3
 _LEAST = 1e-3
 """Fraction of the probability below which a component with too few points is dropped."""
 _FAIR = 0.2
-"""Effective share of the draws above which components of known shapes stay as they are."""
+"""ESS per draw above which components of known shapes stay as they are while there are few points."""
 _SURE = 6.0
 """Effective number of points per coefficient above which a fit needs no cross-validation."""
 _MILDER = 0.7
@@ -187,10 +186,7 @@ class Points:
         return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
 
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return the warped coordinates x (n, ndim), the log-densities in x, and the gradients in x.
-
-        The gradients are None if the points have none.
-        """
+        """Return warped points x (n, ndim), log-densities in x, and gradients in x or None if there are none."""
         log_prob = self.log_prob + warp.log_stretch(self.position)
         slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
         return warp.to_x(self.position), log_prob, slope
@@ -209,12 +205,13 @@ class Points:
 def fit_mixture(points: Points, start: Mixture) -> Mixture:
     """Fit a mixture to a log-density, starting from the mixture `start`, which must already be close to it.
 
-    1. Coordinates are warped if this makes the log-density more nearly quadratic.
+    1. Coordinates become logarithmic, or linear again, if this makes the log-density more nearly quadratic.
     2. In a few EM sweeps, each component's quadratic is fitted to the points, weighted by its responsibilities,
        that is the probabilities that it produced each point. Their sum is the component's weight. A component with
-       too few points, such as a maximum with a few percent of the probability, stays unchanged.
+       too few points is kept unchanged, or is dropped if its weight is negligible.
     3. Components are split while the fit is not good and there are enough points.
-    4. If the fit is still poor, as along a curved ridge, components take the mean and covariance of their points.
+    4. If the fit is still poor, as along a curved ridge, the points are divided into up to 8 groups. Gaussians
+       with the groups' means and covariances become the components if they fit better.
     """
     responsibility = start.responsibilities(points.position)
     warp, wide = _choose_warp(points, responsibility, start.warp), start.wide
@@ -248,8 +245,8 @@ def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> 
     """Fit a mixture to a log-density, or return `start` if the fit is not known to be better.
 
     A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
-    few, a fit to either half must therefore suit the other half better than `start` does. If `is_known`, a fair
-    `start` is kept until there are `_SURE` effective points per coefficient of all components.
+    few, fits to each half must therefore suit the other half better, on average, than `start` does. If `is_known`,
+    a fair `start` is kept until there are `_SURE` effective points per coefficient of all components.
     """
     n = n_coefficients(points.position.shape[1])
     is_enough = points.effective_size >= _SURE * n * len(start.quadratics)
@@ -262,7 +259,7 @@ def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> 
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
-    """Return the gain in ESS per draw over `start` when a fit to half of the points is tested on the rest."""
+    """Fit to each half of the points, test on the other half; return the mean gain in ESS per draw."""
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):
@@ -274,7 +271,8 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
     """Return the warp with which the log-density is most nearly quadratic.
 
-    A coordinate with a lower bound takes or loses the logarithm if that cuts the misfit of enough points by 30 %.
+    A coordinate with a lower bound becomes logarithmic, or linear again, if this reduces the misfit by 30 %.
+    With fewer than `_POINTS` points per coefficient, `warp` is returned unchanged.
     """
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]

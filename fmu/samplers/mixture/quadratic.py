@@ -19,8 +19,8 @@ _PULL = 1e-3
 _CLIMBS, _LONGEST = 8, 3.0
 """Largest number of steps in a climb, and largest step along an axis, in lengths of the axis."""
 _LEVEL, _CLIFF = 0.1, 50.0
-"""Smallest curvature assumed in a step, and gain below which the climb ends; and the largest drop to a
-neighbouring point."""
+"""Smallest curvature assumed in a step, which is also the gain below which the climb ends; and the largest drop to
+a neighbouring point that a step takes into account."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +60,10 @@ class Quadratic:
     def proposals(self, lower: FloatArray, upper: FloatArray) -> list[SequentialNormal]:
         """Return the Gaussian ∝ exp(m) truncated at the bounds, followed by one or two wider copies.
 
-        The first copy is wider along all principal axes. The second is far wider, but only along axes on which the
-        density is almost as wide as the bounds or the prior; if there are none, it is omitted. Along the other
-        axes it has the covariance of the fitted points, if there are any. At a copy's centre, its density is at
-        least e^(-5/2) times the density of the Gaussian there.
+        The first copy is wider along all principal axes. Without bounds, its density at the centre is at least
+        e^(-5/2) times the Gaussian's. The second copy is far wider, but only along axes on which the density is
+        almost as wide as the bounds or the prior; if there are none, it is omitted. Along the other axes it has
+        the covariance of the fitted points, if there are any.
         """
         found = [self.proposal(lower, upper, t) for t in (1.0, _temperature(len(lower)))]
         centre, precision = self.position, definite(self.hessian)
@@ -118,7 +118,8 @@ def fit_quadratic(
     log_prob, weight : ndarray, shape (n,)
         Finite log-densities; weights that are not all zero.
     slope : ndarray, shape (n, ndim), optional
-        Gradients of the log-density, with the same weights as the log-densities in these coordinates.
+        Gradients of the log-density. In the coordinates of the fit, each component has the same weight as the
+        log-density at its point.
     """
     z, mean, L = standardise(u, weight)
     c = coefficients(z, log_prob, weight, None if slope is None else slope @ L)[0]
@@ -162,7 +163,7 @@ def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like:
 
 
 def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
-    """Return the log-density of a Gaussian that has the mean and covariance of weighted points u (n, ndim)."""
+    """Return the log-density, up to a constant, of a Gaussian with the mean and covariance of weighted points."""
     _, mean, L = standardise(u, weight)
     return Quadratic(mean, 0.0, np.zeros_like(mean), np.linalg.inv(L @ L.T), L @ L.T)
 

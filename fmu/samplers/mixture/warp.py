@@ -10,7 +10,7 @@ from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import BoolArray, FloatArray
 
 _BEND = 0.1
-"""Distance from a bound, in scaled units, at which a bent coordinate changes from linear to logarithmic."""
+"""Distance from the lower bound, in scaled units, at which a bent coordinate turns from linear to logarithmic."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray, IntArray, LogDensity
 
 FAR = 10.0
-"""Points with a log-density this far below the median, plus one per coordinate, have not reached a maximum yet."""
+"""Distance below the median log-density, plus one per coordinate, beyond which a point is not near a maximum."""
 _APART = 3.0
 """Smallest distance between the means of separated chains, in standard deviations along the line between the
 means."""
@@ -70,8 +70,8 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity, wide: float
 def groups_of_chains(u: FloatArray) -> IntArray:
     """Group chains that are near the same maximum; return each chain's group index, shape (chains,).
 
-    The draws u have shape (steps, chains, ndim). Two chains belong to one group if their means are at most
-    `_APART` standard deviations apart, measured along the line between the means.
+    The draws u have shape (steps, chains, ndim). A chain joins the group of the first chain whose mean is at most
+    `_APART` standard deviations away, measured along the line between the means.
     """
     mean = u.mean(axis=0)
     group = np.arange(len(mean))

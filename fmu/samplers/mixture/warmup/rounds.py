@@ -116,8 +116,8 @@ def learn_in_rounds(
     """Fit a curved mixture in rounds; return the best one, its efficiency, and the number of evaluations.
 
     The efficiency is the effective sample size per candidate. The rounds end when two in a row reach `ENOUGH`,
-    when `most` leaves fewer than `_FEWEST` candidates, or when a fit fails. The mixture is None, with efficiency
-    0, if no round was drawn.
+    when `most` leaves fewer than `_FEWEST` candidates, when a fit fails, or when no candidate so far has a finite
+    log-density. The mixture is None, with efficiency 0, if no round was drawn.
 
     Parameters
     ----------

@@ -55,12 +55,11 @@ class MixtureTuner:
     The candidates are importance-weighted by the combined density of all mixtures that proposed them (AMIS,
     Cornuet et al. 2012). If no components are given, up to half of the warm-up consists of local steps, and the
     first mixture is fitted to their draws. If a chain or a candidate has found a maximum that the mixture misses,
-    a component is added there. After the first fit, local steps use a metric derived from the mixture's
-    covariance.
+    a component is added there. After the first fit, local steps are adapted to the mixture's covariance.
 
-    If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps then
-    adapt a metric to their own draws. Later fits also use these draws. Candidates take over again once they are
-    often accepted.
+    If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps are
+    then tuned to their own draws if enough steps remain. Later fits also use these draws. Candidates take over
+    again once they are often accepted.
 
     If most chains rarely accept candidates, a `CurvedMixture` is fitted in rounds, once there are enough local
     draws. It replaces the mixture if it is efficient enough. It is also tried if the density is infinite at a
@@ -342,9 +341,9 @@ class MixtureTuner:
         return spent
 
     def _prefer_local(self) -> None:
-        """Let local steps adapt their metric to their own draws, if enough steps remain.
+        """Start tuning local steps to their own draws, if enough steps remain.
 
-        Otherwise they continue with the metric derived from the mixture.
+        Otherwise they continue as adapted to the mixture.
         """
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:

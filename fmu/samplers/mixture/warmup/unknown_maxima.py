@@ -63,8 +63,8 @@ def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[l
     The search climbs from a point of `seen` under two conditions. First, log w = log P − log q there is well above
     its median. Second, a valley separates the point from the component most likely to have produced it. Chain
     positions come first, because a chain at a low maximum without a component would hardly leave it. Any other
-    point must have a log-density close to the chains'. Its log w must also be well above the median when q
-    combines all mixtures so far, so that a maximum already known to be minor is not climbed again.
+    point must have a log-density that is not far below the chains'. Its log w must also be well above the median
+    when q combines all mixtures so far, so that a maximum already known to be minor is not climbed again.
 
     A summit is a missed maximum if its log w is well above the median, too. At most `_CHECKED` points are checked,
     none once the mixture has `MOST` components.
