@@ -47,7 +47,7 @@ class Reference:
 
 
 def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
-    """Pool several traces into one posterior estimate, weighted by their effective sample sizes."""
+    """Pool several traces into one posterior estimate. Each parameter's weights are the traces' bulk ESS."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])
@@ -136,7 +136,7 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest run that passes the convergence checks, as do all longer runs that were examined.
+    """Return the length from which on a run passes the convergence checks, at every length that is examined.
 
     Parameters
     ----------
@@ -168,8 +168,8 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 def solves_at_this_pace(trace: xr.DataTree) -> int | None:
     """Return the number of model solves that a run would need for an effective sample size of `ESS_LIMIT`.
 
-    The number is extrapolated from the draws' smallest bulk or tail ESS, excluding the warm-up. It is None if that
-    ESS is NaN.
+    The number is extrapolated from the draws' smallest bulk or tail ESS, excluding the warm-up. An exact gradient
+    counts as one solve. The number is None if that ESS is NaN.
     """
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())

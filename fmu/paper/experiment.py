@@ -279,7 +279,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return the result of `fmu.compare` for the long runs, extended by costs, one row per sampler.
+    """Return the result of `fmu.compare` for the long runs with more columns on cost and error.
 
     A solve is one evaluation of the log-probability, and an exact gradient counts as ``gradient_cost`` solves. The
     columns added to `fmu.compare` are:
@@ -300,6 +300,8 @@ def comparison_table(result: Result) -> pd.DataFrame:
     posterior sd.
 
     ``published_error``: largest distance between a published parameter and the reference mean, in posterior sd.
+
+    The last four are missing for samplers that the paper does not use.
     """
     table = result.comparison.copy()
     off = {s: _distance(result, posterior_mean(trace)) for s, trace in result.paper.items()}

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ENOUGH = 0.05
-"""1/√400, the error of 400 independent draws; the convergence verdict requires this effective sample size."""
+"""1/√400, the error of 400 independent draws; convergence requires an effective sample size of 400."""
 
 
 def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) -> None:
@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the frequency sets plotted for a sampler: before updating, published, and ours."""
+    """Return the frequency sets plotted for a sampler: before updating, published (if in the paper), and ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:

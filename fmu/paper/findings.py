@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 
 _CERTIFICATE = "certificate_"
 DEEP = 1e3
-"""Difference in log-probability from the highest maximum beyond which a maximum cannot be mistaken for the
-posterior."""
+"""A maximum is ignored if its log-probability is lower than the highest maximum's by this difference or more."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +60,14 @@ class Findings:
     origin : str
         The source of the reference posterior, in words.
     settings : mapping of str to str
-        Every run's settings, as JSON, keyed by sampler and kind (``"mh, paper"``, ``"mh, long"``).
+        Each saved run's settings, as JSON, keyed by sampler and kind (``"mh, paper"``, ``"mh, long"``, ``"hmc,
+        one start"``).
     learnt : mapping of str to str
-        Settings tuned in every run's warm-up, as JSON, with the same keys.
+        Settings tuned in each run's warm-up, as JSON, with the same keys.
     lengths : mapping of str to tuple of int
-        Every run's numbers of chains, warm-up steps and draws, with the same keys.
+        Each run's numbers of chains, warm-up steps and draws, with the same keys.
     certificates : mapping of str to mapping of str to float
-        Errors of the reduced model at some of every run's draws (`fmu.analysis.certificate`), with the same keys.
+        Errors of the reduced model at some of each run's draws (`fmu.analysis.certificate`), with the same keys.
     weighted : VectorBeta, optional
         Results with a separate β for every mode, if that run was performed.
     wrong : WrongModel, optional
@@ -163,7 +163,10 @@ class Findings:
 
     @property
     def central_difference_rate(self) -> float:
-        """ESS that HMC would gain per solve if every gradient cost 2·ndim solves, as in eq. (15)."""
+        """Effective draws of HMC per solve if each gradient cost 2·ndim solves, as in eq. (15).
+
+        Only the solves for gradients are counted.
+        """
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
 
     @property
@@ -173,7 +176,7 @@ class Findings:
 
     @property
     def separate_maxima(self) -> pd.DataFrame:
-        """Table rows of the maxima whose log-probability is at most `DEEP` below the highest maximum."""
+        """Table rows of the maxima whose log-probability is less than `DEEP` below the highest maximum."""
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
 
     def unit_of_paper(self, parameter: str) -> tuple[float, str]:
@@ -214,7 +217,7 @@ SEPARATED = (
 
 
 class Judgement(NamedTuple):
-    """A statement in the paper, a criterion, and the outcome when the statement is judged by this criterion.
+    """A statement in the paper, judged by one criterion, with the outcome and the figures behind it.
 
     The `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
     """
@@ -229,7 +232,8 @@ def judge(findings: Findings) -> list[Judgement]:
     """Judge the paper's statements on one experiment by every criterion that the paper may have meant.
 
     If only one of two samplers' long runs converged, that sampler is the better one. If both converged, the
-    numbers in the cost table are compared. If neither did, the statement cannot be judged.
+    numbers in the cost table are compared; a ratio below `CLOSE_LENGTHS` is too close to call. If neither did, the
+    statement cannot be judged.
     """
     return [
         Judgement(f"{SHORT[a]} {verb} {SHORT[b]}", criterion, *_decide(findings, a, b, column))
@@ -259,7 +263,7 @@ def _decide(findings: Findings, better: str, worse: str, column: str) -> tuple[s
 def statement(findings: Findings) -> str:
     """Return a paragraph on the most efficient samplers and on how well the converged samplers agree.
 
-    If no sampler converged, the paragraph says only this.
+    If no sampler converged, the paragraph says so, and whether the posterior has separated modes.
     """
     heading = f"**Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}.** "
     samplers = list(findings.comparison.index)

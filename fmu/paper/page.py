@@ -264,7 +264,10 @@ def one_start(findings: Findings) -> str:
 
 
 def fit(findings: Findings) -> str:
-    """Return the list of warnings about the model from the first converged run, or a sentence without any."""
+    """Return the warnings about the model from the first converged run as a list in Markdown.
+
+    Return a sentence if there are no warnings, or if no run has converged.
+    """
     for name in ("hmc", "emcee", "mixture", "mh", "slice"):
         if findings.is_converged(name):
             listed = "".join(f"- {warning}.\n" for warning in findings.warnings[name])
@@ -273,7 +276,7 @@ def fit(findings: Findings) -> str:
 
 
 def places(findings: Findings) -> str:
-    """Return a table of the physical modes paired in each long run; empty if the pairing never changed."""
+    """Return a table of the physical modes paired in each long run; empty if all draws have the same pairing."""
     if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [
@@ -317,13 +320,13 @@ def settings(findings: Findings) -> str:
 
 
 def _count(value: Any) -> Any:
-    """Return a setting unchanged, or the number of mixture components if it is their list, which is too long."""
+    """Return a setting unchanged, except for a list of mixture components: it is replaced by their number."""
     is_long = any(mapping_in(one) is not None for one in list_in(value) or [])
     return f"{len(value)}, at the maxima" if is_long else value
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return a setting in words: numbers by their values, arrays by their shapes. Other values are left out."""
+    """Return settings in words: numbers by their values, arrays by their shapes. Other values are left out."""
     table, several, number = mapping_in(value), list_in(value), number_in(value)
     if table is not None:
         return [words for key, item in table.items() for words in _brief(key, item)]

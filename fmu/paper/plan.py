@@ -106,7 +106,7 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """Number of steps per chain in all runs of one experiment together."""
+        """Number of steps per chain in all runs of `fmu.paper.experiment.compute` together."""
         runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values(), self.one_start)
         return sum(length.steps for length in runs)
 
@@ -185,7 +185,8 @@ class Runs:
     ) -> xr.DataTree:
         """Perform a run, shown as `words` in the progress line, and return its trace.
 
-        `jumps` has the same meaning as in `fmu.sample`.
+        `jumps` has the same meaning as in `fmu.sample`. Warnings about the reduced model's certificate are
+        ignored.
         """
         from fmu.sampling import sample
 

@@ -67,8 +67,8 @@ def run_paper(
     Raises
     ------
     ValueError
-        If `out` is not a directory, or the results would overwrite files that fmu did not write. This is checked
-        before the computation.
+        If `out` is not a directory or has an invalid manifest, or the results would overwrite files that fmu did
+        not write. This is checked before the computation.
     """
     plan = plan or Plan()
     directory = OutputDirectory(out)
@@ -145,7 +145,7 @@ def _by_shape(experiment: tuple[str, str]) -> bool:
 
 
 def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
-    """Yield the file name and the trace for each run of an experiment."""
+    """Yield the file name and the trace for each saved run of an experiment; `Result.pace` is not saved."""
     for kind, traces in (("paper", result.paper), ("long", result.long), ("one-start", {"hmc": result.one_start})):
         for sampler, trace in traces.items():
             yield f"{result.name}-{sampler}-{kind}.nc", trace

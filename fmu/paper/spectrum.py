@@ -40,7 +40,7 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
     Raises
     ------
     ValueError
-        If the model is no structure, or its planes of motion are coupled.
+        If the model has no structure, its planes of motion are coupled, or one plane has several matrix blocks.
     """
     structure = _structure(problem)
     model: Any = problem.model
@@ -70,7 +70,8 @@ def shares(names: StrArray) -> dict[str, float]:
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
     """Return, for each measured mode, how often each physical mode is paired with it within the bounds.
 
-    The fractions of the volume within the bounds are estimated with a scrambled Sobol sequence.
+    The fractions of the volume within the bounds are estimated with a scrambled Sobol sequence. Raise ValueError
+    under the same conditions as `paired_names`.
 
     Parameters
     ----------

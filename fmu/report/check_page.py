@@ -67,7 +67,8 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
     Raises
     ------
     ValueError
-        If the page would overwrite a file that fmu did not write, or `directory` is a file.
+        If the page would overwrite a file that fmu did not write, `directory` is a file, or the manifest in it is
+        invalid.
     """
     output = OutputDirectory(directory)
     name = f"{INDEX}.html"
@@ -80,8 +81,8 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 def check_page(found: Check) -> Page:
     """Return the page for a check.
 
-    It has verdicts, the structure, modes, sensors, FRFs, prior predictions, identifiability and gradient. The
-    sections on sensors, FRFs and identifiability are left out if the check has none.
+    Its sections are the model, modes, sensors, FRFs, prior predictions, identifiability and gradient. The sections
+    on sensors, FRFs and identifiability are left out if the check has no results on them.
     """
     sections = [_model(found), _modes(found), *_sensors(found), *_responses(found), _prior(found)]
     if found.identifiability is not None:
@@ -187,7 +188,10 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return the section that compares test and model at the sensors, as a list; empty if there are no shapes."""
+    """Return a list with the section that compares test and model at the sensors.
+
+    The list is empty if no shapes were measured.
+    """
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -208,7 +212,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return the section on measured frequency response functions, as a list; empty if there are none.
+    """Return a list with the section on frequency response functions; empty if none were measured.
 
     At most `MOST_DRAWN` functions are plotted; the table lists all.
     """
@@ -231,7 +235,7 @@ def _responses(found: Check) -> list[PageSection]:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return a figure of each measured mode with the computed mode paired with it, for at most 12 modes."""
+    """Return figures of the computed modes that are paired with the first 12 measured modes."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):

@@ -177,7 +177,7 @@ class Pictures(_Part):
 
     @property
     def is_narrow_figure(self) -> bool:
-        """Whether the part is a single figure, narrow enough for other parts to fit beside it."""
+        """Whether the part is a single figure, so narrow and low that other parts fit beside it."""
         first = self.pictures[0]
         return len(self.pictures) == 1 and first.width <= _NARROW and not first.is_high
 
@@ -284,11 +284,12 @@ class Verdict:
     is_good : bool or None
         Whether the answer is favourable; None if it is neither good nor bad.
     because : str
-        Heading for the list of reasons. It is empty if the answer states a fact, which needs no reasons.
+        Heading for the list of reasons. If `is_good` is None, a heading marks the answer as unknown, and an empty
+        one marks it as a fact.
     reasons : tuple of str
         Reasons for the answer.
     said : str
-        A sentence shown next to the answer.
+        Text shown next to the answer.
     notes : tuple of str
         Further remarks on the question that are not reasons for the answer.
     """
@@ -320,12 +321,8 @@ class Page:
 
     Attributes
     ----------
-    title : str
-        The heading: the problem's name.
-    subtitle : str
-        The subject of the page, below the heading.
-    lead : str
-        One more line below the subtitle.
+    title, subtitle, lead : str
+        The heading, which is the problem's name; below it, the subject of the page; and one more line.
     verdicts : tuple of Verdict
         Verdicts at the top of the page.
     sections : tuple of PageSection
@@ -369,7 +366,7 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def breaking_at_commas(text: str) -> str:
-    """Make all spaces no-break spaces except after commas, so that a narrow column breaks only at commas."""
+    """Return the text with no-break spaces except after commas, so that a narrow column breaks only at commas."""
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 
@@ -377,6 +374,8 @@ def picture(
     axes: Axes | AxesArray, key: str, alt: str, caption: str, data: Mapping[str, object] | None = None
 ) -> Picture:
     """Return the figure that contains `axes` as a `Picture` for a page.
+
+    The figure's layout is applied, and its layout engine removed. Raise ValueError if `alt` is empty.
 
     Parameters
     ----------
@@ -389,7 +388,7 @@ def picture(
     caption : str
         The text below the figure.
     data : mapping, optional
-        The picture's content. By default `figure_data` extracts it from the figure.
+        The picture's content. By default, `figure_data` extracts it from the figure.
     """
     figure = np.asarray(axes).ravel()[0].figure
     svg = inline_svg(figure, key, alt)

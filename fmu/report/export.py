@@ -186,10 +186,9 @@ def export(
 
 
 def in_the_file(problem: UpdatingProblem) -> dict[str, str]:
-    """Return the inferred quantity that is exported as the value of each updated structural parameter.
+    """Return the name of the quantity that is exported as each updated structural parameter, keyed by parameter.
 
-    The dict is keyed by parameter name. The quantity is the parameter itself, its population's mean or median, or
-    its value in the first test or group.
+    The quantity is the parameter itself, its population's mean or median, or its value in the first test or group.
     """
     structural, found = problem.layout.structural, dict[str, str]()
     for name, role in zip(problem.names, problem.roles, strict=True):
@@ -219,8 +218,8 @@ def read_problem(directory: Path, trace: xr.DataTree, model: Path | None = None)
     Raises
     ------
     ValueError
-        If a file has changed, so that the problem is not the one that was sampled; or if the run has no problem
-        file and `model` is None.
+        If the problem is not the one that was sampled, for example because a file has changed; if the run has no
+        saved problem file and `model` is None; or if the problem cannot be built.
     """
     source = read_saved(directory, model)
     problem = source.load()
@@ -253,8 +252,8 @@ def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[Probl
 def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
     """Raise ValueError unless `problem` is the problem that was sampled.
 
-    The model matrices may differ by rounding, for example on another machine. In that case the model frequencies
-    at a few draws must agree within `_MATCHING` with the frequencies stored in the trace.
+    Everything but the model must be equal. If the model differs, for example by rounding on another machine, its
+    frequencies at a few draws must agree within `_MATCHING` with the frequencies stored in the trace.
     """
     sampled = problem_of(trace)
     now = json.loads(canonical_json(problem.configuration()))
@@ -291,7 +290,7 @@ def _values(trace: xr.DataTree, theta: FloatArray, found: Information | None) ->
 def _remarks(
     problem: UpdatingProblem, trace: xr.DataTree, theta: FloatArray, at: str, diagnosis: Diagnosis
 ) -> list[str]:
-    """Return warnings if the chains have not converged, or if an exported mean is outside most of the draws."""
+    """Return warnings if the run has not converged, or if the exported mean is improbable among the draws."""
     remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
     if at == "mean":
         lp = array_of(trace, "sample_stats", "lp")

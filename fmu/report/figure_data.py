@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.typing import ColorType
 
 MOST_ORDINATES = 7_000
-"""Approximate largest number of path points stored per figure; longer paths are thinned to every k-th point."""
+"""Approximate largest number of path points stored per figure; if there are more, every k-th is stored."""
 _MOST_DRAWN = 12_000
-"""Largest number of values (draws of parameters and frequencies) stored for a page's linked pair plots."""
+"""Approximate largest number of values (draws of parameters and frequencies) stored for linked pair plots."""
 _POINTS = 72.0
 
 
@@ -82,10 +82,11 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
     Returns
     -------
     dict
-        The key ``pairs`` with a dict of ``panels``, n² of them, as in `figure_data` but without series; parameter
-        ``names`` and ``units``; ``columns``, each parameter's draws in its unit; and ``modes``, each with its
-        ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency, in Hz; empty if the trace
-        has no frequencies. Only every k-th draw is returned, so that there are at most 12 000 values.
+        The only key is ``pairs``. Its value is a dict of ``panels``, n² of them, as in `figure_data` but without
+        series; parameter ``names`` and ``units``; ``columns``, each parameter's draws in its unit; and ``modes``,
+        a list with the ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency of each mode,
+        in Hz. The list is empty if the trace has no frequencies. Only every k-th draw is returned, so that there
+        are at most about 12 000 values.
     """
     units = [unit_of(trace, name) for name in names]
     draws = [

@@ -56,7 +56,11 @@ class OutputDirectory:
 
     @contextmanager
     def stage_files(self) -> Iterator[Path]:
-        """Yield an empty directory for new files; at the end, publish them unless an error occurred."""
+        """Yield an empty directory for new files; at the end, publish the files unless an error occurred.
+
+        The output directory is created, and removed again if it stays empty. Raise ValueError if publishing would
+        overwrite files that fmu did not write.
+        """
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))
@@ -117,9 +121,9 @@ class OutputDirectory:
 
 
 def _relative(names: Iterable[str]) -> list[str]:
-    """Return the names as a list. Raise ValueError if a name is not a path below the directory.
+    """Return the names as POSIX paths.
 
-    A name must not be the name of the manifest either.
+    Raise ValueError if a name is not a path below the directory, or is the name of the manifest.
     """
     checked = []
     for name in names:

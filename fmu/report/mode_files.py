@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
 _AXES = ("x", "y", "z")
 _KEPT = 0.9
-"""Threshold of the retained share of a measured shape below which its expansion causes a warning."""
+"""Smallest share of a measured shape that its expansion must keep; a smaller share causes a warning."""
 
 
 def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> list[str]:
     """Write the structure's mode shapes at `theta` (ndim,), and the measured mode shapes, to `folder`.
 
     ``modes.vtu`` contains the mesh and the displacements in each updated mode and in each measured mode. Measured
-    modes are expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode. If pyuff is
-    installed, ``updated.uff`` contains nodes, elements and updated modes, and ``measured.uff`` the sensors and the
-    measured modes, if shapes were measured, as datasets 2411, 2412 and 55. Nothing is written if the model is no
-    structure with a geometry, or there are several tests.
+    modes are expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode; they are left out if
+    the expansion fails. If pyuff is installed, ``updated.uff`` contains nodes, elements and updated modes, and
+    ``measured.uff`` the sensors and the measured modes, if shapes were measured, as datasets 2411, 2412 and 55.
+    Nothing is written if the model is not a structure with a geometry, or if there are several tests.
 
     Returns
     -------
@@ -97,10 +97,10 @@ def _move_nodes(model: SeparableModel, shape: FloatArray) -> FloatArray:
 def _expand_shapes(
     problem: UpdatingProblem, model: SeparableModel, theta: FloatArray, shapes: FloatArray
 ) -> tuple[Expanded | None, list[str]]:
-    """Expand the measured shapes to all degrees of freedom; return them and a list of warnings.
+    """Return the measured shapes, expanded to all degrees of freedom, and a list of warnings.
 
-    The first item is None if no shapes were measured or if the expansion fails. A warning lists the modes of which
-    the expansion keeps less than `_KEPT`.
+    The first item is None if no shapes were measured or if the expansion fails. A warning lists the modes whose
+    expansion keeps less than `_KEPT` of the measured shape.
     """
     data = problem.data
     if data.shapes is None:

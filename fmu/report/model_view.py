@@ -1,4 +1,4 @@
-"""Interactive views of the structure, with modes before and after updating, coloured by parameter changes."""
+"""Interactive views of the structure and its modes, coloured by parameter changes or losses."""
 
 from __future__ import annotations
 
@@ -123,8 +123,8 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
 def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
     """Return each parameter's change relative to its start value, its sd, and a text with both, keyed by name.
 
-    The change and its sd are NaN for a parameter that the data did not inform. A parameter is omitted if its start
-    value is zero or unknown.
+    For a parameter that the data did not inform, the change and its sd are NaN, and the text says so. Other
+    parameters are omitted if their start value is zero or unknown.
     """
     left, found = not_informed(run.trace), {}
     for name in run.names:
@@ -183,8 +183,8 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
     """Return displacements (mode, node, direction) as a dict: before updating, at the posterior mean, measured.
 
-    The measured shapes are expanded to all nodes. They are omitted if there are none, or more than `_DETAILED`
-    nodes.
+    The measured shapes are expanded to all nodes. They are omitted if the trace has no expanded shapes, or if
+    there are more than `_DETAILED` nodes.
     """
     bits = 16 if modes.sizes["node"] <= _DETAILED else 8
     moved = modes["displacement"].transpose("state", "mode", "node", "direction")
@@ -214,9 +214,9 @@ def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
 
 
 def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
-    """Return the azimuth and elevation in rad of the view: across the motion of a straight horizontal structure.
+    """Return the azimuth and elevation of the view in rad.
 
-    Any other structure is seen from a corner.
+    A straight horizontal structure is seen at right angles to its motion, any other structure from a corner.
     """
     wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
     moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))

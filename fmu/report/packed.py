@@ -29,8 +29,8 @@ class Rounded:
     values : ndarray
         The numbers; entries that are not finite are missing values.
     bits : {8, 16}
-        Bits per number. The rounding error is at most 1/252 or 1/65 532 of the range. Small whole numbers stay
-        exact.
+        Bits per number. The rounding error is at most 1/252 or 1/65 532 of the range. If all numbers are small
+        whole numbers, they stay exact.
     """
 
     values: AnyArray

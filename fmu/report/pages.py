@@ -1,4 +1,4 @@
-"""Write the HTML report on a run: a self-contained page for each sampler, and an index page that compares them."""
+"""Write the HTML pages on a run: one for each sampler, and an index page that compares samplers or models."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _SCRIPTS = ("data.js", "structure.js", "figures.js", "pairs.js", "tables.js", "s
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the file name of each run's page, keyed by run name. It is valid in file systems and URLs.
+    """Return the file name of each run's page, keyed by run name. The names are valid in file systems and URLs.
 
     If there is only one run, its page is ``index.html``.
     """
@@ -277,7 +277,7 @@ def publish_models(
 
 
 def render(page: Page) -> str:
-    """Return a page as HTML. All text in it is escaped."""
+    """Return a page as HTML. All text in it is escaped, except `Markup`."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -304,7 +304,7 @@ def prose(text: str) -> Markup:
 
 @cache
 def _script() -> tuple[Markup, str]:
-    """Return the script used on all pages, and its hash, with which browsers allow no other script."""
+    """Return the script used on all pages, and its hash. Browsers run only the script with this hash."""
     files = resources.files("fmu.report") / "templates"
     parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
     text = re.sub(r"^\s+|^//.*\n", "", f'"use strict";\n{"".join(parts)}', flags=re.MULTILINE)

@@ -90,7 +90,7 @@ class ReportedRun:
 
     @property
     def chains_in_words(self) -> str:
-        """Number and length of the chains, in words."""
+        """Number and length of the chains, and length of the warm-up, in words."""
         posterior, walkers = self.trace["posterior"], walkers_of(self.trace)
         chains, steps = posterior.sizes["chain"], posterior.sizes["draw"] // walkers
         many = "" if chains == 1 else "s"

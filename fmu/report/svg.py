@@ -33,7 +33,7 @@ _OF_SCHEME = {
 }  # fmt: skip
 """Colours that the light or dark scheme of the page replaces, with their variables in the style sheet."""
 _SHORT_PATH = 12
-"""Number of line segments from which a path is written in relative coordinates."""
+"""Smallest number of line segments of a path that is written in relative coordinates."""
 _STRAIGHT = re.compile(r"[\dMLz eE.+-]*")
 
 
@@ -106,7 +106,10 @@ def _ticks_placed_once() -> Iterator[None]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Apply the figure's layout. Unlike Matplotlib, do not draw the whole figure for this."""
+    """Apply the figure's layout and remove its layout engine.
+
+    Unlike Matplotlib, do not draw the whole figure for this.
+    """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()

@@ -33,7 +33,7 @@ def updated_text(
     text : str
         The original problem file's content.
     starts : mapping of str to float
-        The start value of each parameter and inferred standard deviation, keyed by name, SI units.
+        The start value of each parameter and inferred standard deviation, keyed by name, in SI units.
     pairing : str or None
         The pairing to write to the file; None to leave the file's pairing unchanged.
     about : str
@@ -63,7 +63,8 @@ def updated_text(
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
     """Copy the files that a problem file names, so that the updated problem file is complete.
 
-    Files that are read with them (`read_beside`) are copied too; files outside the folder `source` are not.
+    A word with a colon, such as ``module:function``, names the file ``module.py``. Files that are read with them
+    (`read_beside`) are copied too; files outside the folder `source` are not.
 
     Returns
     -------

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
     """Return a table with one row per parameter of `problem`, SI units: ``unit``, and each run's mean and sd.
 
-    The columns are named ``*_mean`` and ``*_sd`` after the run. They are NaN for a parameter that the run's trace
-    lacks.
+    The columns are named after the runs, ``*_mean`` and ``*_sd``. They are NaN for parameters that are not in the
+    run's trace.
     """
     columns: dict[str, object] = {"unit": problem.units}
     for name, trace in traces.items():

@@ -58,9 +58,10 @@ class WrongModel:
     modes : DataFrame
         One row per measured mode: ``measured_hz``, and for each model (`WITHOUT`, `WITH`) the prediction of the
         measurement from the other modes in Hz, ``*_mean``, ``*_sd``, ``*_eti90_lb`` and ``*_eti90_ub``, and
-        ``*_off``, the distance between the measured frequency and its mean in standard deviations.
+        ``*_off``, the measured frequency minus the predicted mean, in predictive standard deviations.
     parameters : DataFrame
-        One row per parameter of the model with scatter, SI units: ``unit``, and the posterior mean and sd.
+        One row per parameter of the model with scatter, SI units: ``unit``, and the posterior mean and sd by each
+        model.
     runs : DataFrame
         One row per model, with the columns of `fmu.compare_models`.
     """
@@ -81,9 +82,9 @@ class WrongModel:
     ) -> WrongModel:
         """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
-        If there are several tests, which have many modes, the draws are reweighted instead of repeating the
-        update. If the tests have populations, the scores of the mode's test are integrated out. Raise ValueError
-        unless each trace has two or more measured modes.
+        With several tests, which have many modes, the draws are reweighted instead of repeating the update. If the
+        tests have populations, the scores of the mode's test are integrated out. Raise ValueError unless each
+        trace has two or more measured modes.
         """
         known = {
             model: with_left_out(
@@ -182,7 +183,7 @@ def modes_table(study: WrongModel) -> str:
 
 
 def runs_sentence(study: WrongModel) -> str:
-    """Return a sentence on each run: whether it has converged, and what the data say about the model."""
+    """Return a sentence on each run: whether it has converged, and the verdict on the model."""
     said, runs = [], dict(rows_of(study.runs))
     for model, words in NAMES.items():
         run = runs[model]

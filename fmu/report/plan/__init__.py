@@ -1,1 +1,1 @@
-"""Write the page and the files for a planned test."""
+"""The page and the files for a planned test."""

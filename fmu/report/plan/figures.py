@@ -71,7 +71,10 @@ def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
 
 
 def plot_information(plan: Plan) -> Axes:
-    """Plot the expected information against the number of sensors, with its upper bound and customary choices."""
+    """Plot the expected information against the number of sensors.
+
+    The plot also shows upper bounds, where known, and up to five customary choices of sensors.
+    """
     curve = plan.with_bounds()
     axes = style.new_figure(style.NARROW, 3.4).subplots()
     axes.plot(curve.index, curve["information"], marker="o", markersize=4, color=style.VERMILLION, label=PLANNED)
@@ -92,7 +95,8 @@ def plot_information(plan: Plan) -> Axes:
 def plot_expected_sds(plan: Plan) -> Axes:
     """Plot each parameter's expected standard deviation after the test, relative to its value before the test.
 
-    At most the first 40 parameters are plotted.
+    Tests of frequencies alone, and of frequencies and shapes, are compared. At most the first 40 parameters are
+    plotted.
     """
     table = plan.parameters()
     names = [style.literal(str(name)) for name in table.index[:_MOST_NAMES]]

@@ -43,7 +43,8 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
     Raises
     ------
     ValueError
-        If this would overwrite a file that fmu did not write, or `directory` is a file.
+        If this would overwrite a file that fmu did not write, `directory` is a file, or the manifest in it is
+        invalid.
     """
     output = OutputDirectory(directory)
     page = f"{INDEX}.html"

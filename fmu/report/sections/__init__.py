@@ -1,6 +1,7 @@
-"""The sections of a report. Each section is a function of a run that returns a `PageSection` or `Omitted`.
+"""The sections of a report, written by functions that return a `PageSection` or `Omitted`.
 
-To add a section, write its function in a module of this package and list it in `OF_A_SAMPLER`.
+To add a section to the page of a sampler, write a function of a `ReportedRun` in a module of this package and
+list it in `OF_A_SAMPLER`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Report sections on the chains: traces, ranks, autocorrelation, running means, parameter pairs, energies."""
+"""Report sections on the chains: reliability, traces, ranks, autocorrelation, running means, pairs, energies."""
 
 from __future__ import annotations
 
@@ -98,7 +98,10 @@ def paths(run: ReportedRun) -> PageSection:
 
 
 def _agreement(run: ReportedRun) -> str:
-    """Return a sentence that says whether the chains agree, with the largest R-hat; unknown if an R-hat is NaN."""
+    """Return a sentence that says whether the chains agree, and gives the largest R-hat.
+
+    If a parameter's R-hat is NaN or infinite, the sentence says that the agreement is unknown.
+    """
     rhat = run.summary["rhat"].fillna(np.inf)
     name, worst = str(rhat.idxmax()), float(rhat.max())
     if not np.isfinite(worst):
@@ -203,7 +206,7 @@ def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
 
 
 def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...], str]:
-    """Return the most strongly correlated parameters, and a sentence on the pair with the largest correlation.
+    """Return at most `most` parameters with the strongest correlations, and a sentence on the strongest one.
 
     If fewer than two parameters vary, return the first `most` parameters and an empty sentence.
     """
@@ -225,7 +228,7 @@ def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...
 def energies(run: ReportedRun) -> PageSection | Omitted:
     """Return the section on the energies of Hamiltonian trajectories.
 
-    Return `Omitted` for other samplers, and if there are fewer than 50 draws.
+    Return `Omitted` if the sampler records no energies, or if there are fewer than 50 draws.
     """
     title = "Energies of the trajectories"
     if not has(run.trace, "sample_stats", "energy"):

@@ -100,7 +100,7 @@ def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
 def _cost(found: Compared) -> Verdict:
     """Return the verdict on how many model solves each sampler needed to meet the criterion.
 
-    The sampler that needed the fewest solves comes first.
+    The sampler that needed the fewest solves comes first. Samplers that did not meet the criterion are left out.
     """
     costs = found.costs.sort_values("criterion_solves")
     met = [(str(name), float(x)) for name, x in costs["criterion_solves"].items() if not np.isnan(x)]
@@ -118,7 +118,7 @@ def _cost(found: Compared) -> Verdict:
 
 
 def posterior(found: Compared) -> PageSection:
-    """Return the section on every sampler's posterior, and on the growth of its effective sample size."""
+    """Return the section on the samplers' posterior estimates, and on how their effective sample sizes grew."""
     runs, traces = found.runs, found.traces
     seen = "; ".join(f"{row[0]} {', '.join(row[2:])} {row[1]}".rstrip() for row in _means(runs))
     forest = picture(
@@ -173,14 +173,14 @@ def _is_baseline(run: ReportedRun) -> str:
 
 
 def _gradients(runs: Mapping[str, ReportedRun]) -> str:
-    """Return a sentence on the cost of an exact gradient in solves; empty if no gradients were evaluated."""
+    """Return a sentence on the cost of an exact gradient in solves; empty if no run has a gradient cost."""
     known = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
     listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in known.items() if not np.isnan(cost))
     return f"An exact gradient costs as much as so many solves: {listed}." * bool(listed)
 
 
 def marginals(found: Compared) -> PageSection | Omitted:
-    """Return the section on every sampler's posterior densities, and on the ranks of its draws.
+    """Return the section on the samplers' posterior densities and on the ranks of their draws.
 
     Return `Omitted` if there is only one sampler.
     """
@@ -229,7 +229,7 @@ def _paths(run: ReportedRun) -> Picture:
 
 
 def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
-    """Return one table row per parameter: its name, its unit, and each sampler's mean with its interval."""
+    """Return one table row per parameter: its name, its unit, and each sampler's mean with its 90 % interval."""
     first, rows = next(iter(runs.values())), []
     for name in first.names:
         n = decimals(min(run.value(name, "sd") for run in runs.values()))

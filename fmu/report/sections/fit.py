@@ -1,4 +1,4 @@
-"""Give the verdict on the model's fit to the data, and the section on the checks behind it."""
+"""The verdict on the model's fit to the data, and the section on the checks behind it."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def model_fit(run: ReportedRun) -> Verdict:
 
 
 def _strongest_evidence(fit: ModelFit) -> str:
-    """Return a sentence on the strongest evidence against the model, or on the number of checks it passed.
+    """Return a sentence on the strongest evidence against the model or, if no check failed, on the passed checks.
 
-    It is empty if the fit is unknown or cannot be tested.
+    Return an empty string if no check failed and the fit is unknown or cannot be tested.
     """
     against = failed_checks(fit.checks)
     if against:

@@ -1,4 +1,4 @@
-"""Show prior and posterior densities in a report section, and parameter sensitivities in a figure."""
+"""The report section on prior and posterior densities, and a figure of the parameter sensitivities."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LOOK_AT_SENSITIVITY = (
 def marginals(run: ReportedRun) -> PageSection | Omitted:
     """Return the section on each parameter's prior and posterior density.
 
-    Return `Omitted` if the trace has no draws from the prior.
+    Return `Omitted` if the trace has no draws from the prior, or if all posterior draws are the same.
     """
     title, found = "Prior and posterior", information(run.trace)
     if found is None:

@@ -1,4 +1,4 @@
-"""The page that compares models of the same data: the preferred model, and the parameters that show a misfit."""
+"""Sections of the page that compares models of the same data, and verdicts on the best model and the misfit."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple
 
 
 def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return the verdict on the parameters that show a misfit, or () if no model has an inferred scatter.
+    """Return a verdict on the parameters that show a misfit, or () if no model has an inferred scatter.
 
-    It uses the model with the most inferred scatters. A misfit is stated as certain from a probability of 95 %.
+    The verdict is based on the model with the most inferred scatters. It is stated as certain if its probability
+    is at least 95 %. With a single scatter, the verdict says whether this scatter is needed.
     """
     name, found = _most_scatters(traces)
     if not found:
@@ -79,7 +80,7 @@ def comparison(found: ModelComparison) -> PageSection:
 def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
     """Return the section with every model's prediction of each mode from the other modes.
 
-    Only modes that were left out by all models are compared; without any, return `Omitted`.
+    Only modes that were left out for every model are compared. Return `Omitted` if there are none.
     """
     title, tables = "Each mode predicted from the others", common_modes(traces)
     if not tables or not len(next(iter(tables.values()))):
@@ -139,7 +140,10 @@ def _scatter_row(name: str, one: Scatter) -> tuple[str, ...]:
 
 
 def intervals(traces: Mapping[str, xr.DataTree]) -> PageSection:
-    """Return the section that compares the parameters inferred with every model."""
+    """Return the section that compares the models' parameter estimates.
+
+    The widths of the intervals are given relative to those with the first model.
+    """
     reference = next(iter(traces))
     ratios = interval_ratios(traces, reference)
     header = ("parameter", *map(str, ratios.columns))

@@ -1,4 +1,4 @@
-"""Report sections on a run's computational cost, accuracy certificate, settings and versions."""
+"""Report sections on a run's computational cost, accuracy certificate, assumptions, settings and versions."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ def cost(run: ReportedRun) -> PageSection:
 
 
 def certificate(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the reduced model's or surrogate's error at the draws, or `Omitted` without either."""
+    """Return the section on the error of the reduced models or the surrogate at the draws.
+
+    Return `Omitted` if the run used neither.
+    """
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     of_surrogate = SurrogateCertificate.from_trace(attrs)
     if of_surrogate is not None:
@@ -84,7 +87,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
     """Return the section on the surrogate's error at posterior draws.
 
-    The sentences in `exact` say which draws are exact. If there are any, another sentence is appended to the list.
+    The sentences in `exact` say which draws are exact. If the list is not empty, a sentence is appended to it.
     """
     if exact:
         exact.append("The rest of this section is about the surrogate; its errors are not those of the draws.")
@@ -165,7 +168,7 @@ def settings(run: ReportedRun) -> PageSection:
 
 
 def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the name and text of each nested setting. Long lists are described by their size and range."""
+    """Yield the name and text of each setting, including nested ones. Long lists are shortened."""
     table, several = mapping_in(value), list_in(value) or []
     if table:
         for key, inner in table.items():

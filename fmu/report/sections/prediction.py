@@ -102,7 +102,7 @@ def _has_discrepancy(trace: xr.DataTree) -> bool:
 
 
 def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]:
-    """Return a table of predictions, both from the model alone and with model error and noise added."""
+    """Return a tuple with one table: the predictions of the model alone, and with model error and noise added."""
     rows = []
     for name, (_, row) in zip(names, table.iterrows(), strict=True):
         n = decimals(float(row["noisy_sd"]))
@@ -154,8 +154,8 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 def left_out(run: ReportedRun) -> PageSection | Omitted:
     """Return the section on predicting each measured mode from the other modes.
 
-    Return `Omitted` if the trace has no likelihood of single modes, only a pseudo-likelihood or too few draws, or
-    if the modes are not used in updating.
+    Return `Omitted` if the trace has no likelihood of single modes or only a pseudo-likelihood, if the modes are
+    not used in updating, or if the draws are too few or do not move.
     """
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):

@@ -18,8 +18,8 @@ from fmu.report.run import ReportedRun
 def sensors(run: ReportedRun) -> PageSection | Omitted:
     """Return the section with each sensor's CoMAC and ECoMAC, at the starting point and at the posterior mean.
 
-    With several tests, only each test's worst sensor at the posterior mean is shown. Return `Omitted` if no shapes
-    were measured.
+    With several tests, the table shows only each test's worst mode and worst sensor, at the posterior mean. Return
+    `Omitted` if no shapes were measured.
     """
     title = "Test and model at the sensors"
     before, after = (correlations_of(run.trace, state) for state in (START, MEAN))

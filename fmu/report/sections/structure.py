@@ -1,4 +1,4 @@
-"""Report sections on parameter identifiability, and on the modes before and after updating."""
+"""Report sections on identifiability and on the modes before and after updating, and the structure's drawing."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def legend(entries: Iterable[tuple[str, str]]) -> Markup:
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
     """Return the section on identifiability, judged from the posterior draws, the linearised model, or both.
 
-    Return `Omitted` if the trace has neither.
+    Return `Omitted` if the trace has no linearised model and the draws cannot be judged, because the trace has no
+    draws from the prior or all posterior draws are the same.
     """
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)

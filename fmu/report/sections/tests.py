@@ -117,10 +117,10 @@ def population(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _outliers(run: ReportedRun) -> list[Part]:
-    """Return a sentence on the tests that may be outliers, and a table of the most probable outliers.
+    """Return a paragraph on the tests that may be outliers, and a table of the most probable outliers.
 
-    The table lists at most 20 tests, whose probability is at least `_UNLIKELY`. There is no table without such
-    tests.
+    The table lists at most 20 tests, each an outlier with a probability of at least `_UNLIKELY`. If there are no
+    such tests, there is no table.
     """
     group = run.trace["populations"].to_dataset()
     names, tests = group["population"].to_numpy().tolist(), group["test"].to_numpy().tolist()
@@ -174,9 +174,9 @@ def _next_test(run: ReportedRun) -> PageTable:
 
 
 def losses(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on losses: in groups of tests, and since an unknown date.
+    """Return the section on damage: losses in each state of the structure, and losses since an unknown date.
 
-    Return `Omitted` if the trace has neither.
+    Return `Omitted` if the trace has no losses of either kind.
     """
     title = "Damage"
     parts = [*_losses_of_groups(run), *_losses_by_test(run)]
@@ -186,7 +186,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _losses_by_test(run: ReportedRun) -> list[Part]:
-    """Return the parts on damage since an unknown date, or an empty list if no parameter has it."""
+    """Return the parts on losses since an unknown date, or an empty list if the trace has none."""
     if not has(run.trace, BY_TEST):
         return []
     dates = [name for name, (kind, *_) in roles_of(run.trace).items() if kind == "date"]
@@ -210,7 +210,7 @@ def _losses_by_test(run: ReportedRun) -> list[Part]:
 
 
 def _losses_of_groups(run: ReportedRun) -> list[Part]:
-    """Return the parts on losses that differ between groups of tests, or an empty list if there are none."""
+    """Return the parts on the losses in each state of the structure, or an empty list if the trace has none."""
     if not has(run.trace, LOSSES):
         return []
     table, values = damage(run.trace, _BEYOND), before_and_after(run.trace)
@@ -282,7 +282,8 @@ def _question(run: ReportedRun, state: str) -> str:
 def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
     """Return the verdict on the losses in one state. `table` has a row for each parameter.
 
-    A loss is certain from a probability of `_CERTAIN` and possible above 50 %. At most three of each are named.
+    A loss above 5 % is called certain if its probability is at least `_CERTAIN`, and possible if it is above 50 %.
+    At most three of each are named. If there are none, the parameter with the most probable loss is named.
     """
     question = _question(run, state)
     p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
@@ -319,7 +320,7 @@ def _equals(p: float) -> str:
 
 
 def damage_drawing(trace: xr.DataTree) -> Markup:
-    """Return drawings of the structure, coloured by the losses in each state.
+    """Return a drawing of the structure in each state, coloured by the probability of a loss above 5 %.
 
     The result is empty if the trace has no losses or no geometry, or the structure is too large to draw.
     """
@@ -335,7 +336,7 @@ def damage_drawing(trace: xr.DataTree) -> Markup:
 
 
 def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup, list[tuple[str, str]]]]:
-    """Return two values for each state, keyed by state: a drawing coloured by the losses, and its legend.
+    """Return a drawing coloured by the loss probabilities, and its legend, for each state as the key.
 
     The dict is empty if the trace has no geometry or the structure is too large to draw.
     """
@@ -364,9 +365,10 @@ def _shade(p: float) -> str:
 
 
 def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...], tuple[View, ...]]:
-    """Return drawings of the structure coloured by the losses in each state, and a view that can be rotated.
+    """Return drawings of the structure in each state, and a view of it that can be rotated.
 
-    Each is a tuple that may be empty.
+    They are coloured by the loss probabilities. Both tuples are empty if the trace has no geometry or the
+    structure is too large to draw.
     """
     sketch, drawings = sketch_of(run.trace), _drawings(run.trace, table)
     if sketch is None or not drawings:

@@ -96,9 +96,9 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def _error_of_ends(run: ReportedRun) -> str:
-    """Return a sentence on the interval ends' largest Monte Carlo error, relative to the parameter's sd.
+    """Return a sentence on the largest Monte Carlo error of the interval ends, relative to the parameter's sd.
 
-    It says that the error is unknown if that of any parameter is.
+    If the error is unknown for any parameter, the sentence says that it is unknown.
     """
     errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
     if errors.isna().any():

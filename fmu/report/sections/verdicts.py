@@ -1,4 +1,4 @@
-"""Verdicts on the first screen: parameter changes, their certainty, undetermined parameters, fit, convergence."""
+"""Verdicts on the first screen: losses, parameter changes, undetermined parameters, the fit, convergence."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def _change(run: ReportedRun, name: str) -> float:
 
 
 def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the verdict on the parameter changes: the first three of `names`, with the largest change first.
+    """Return the verdict on the changes of the first three parameters in `names`.
 
-    The verdict says that the data determine nothing if there are no names.
+    If `names` is empty, the verdict says that nothing changed that the data determine.
     """
     question = "What changed?"
     if not names:
@@ -100,9 +100,9 @@ def _errors(run: ReportedRun) -> str:
 
 
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the verdict that gives the posterior means and sds of the parameters that changed most.
+    """Return the verdict on how certain the changes are: the means and sds of the first three of `names`.
 
-    They are the first three of `names`, which `judge_change` shows too.
+    It also names the least certain of all `names`. If there are none, it says that the priors alone decide.
     """
     question = "How sure is that?"
     if not names:
@@ -128,7 +128,10 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 
 def judge_data(run: ReportedRun) -> Verdict:
-    """Return the verdict on the data: which parameters the data leave undetermined."""
+    """Return the verdict on which parameters the data leave undetermined.
+
+    The answer is "Unknown" if the trace has no draws from the prior, or all posterior draws are the same.
+    """
     question = "Anything left undetermined?"
     found = information(run.trace)
     if found is None:
