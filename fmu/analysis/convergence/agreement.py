@@ -84,7 +84,7 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
 
 
 def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
-    """Return True if a run's R-hat and effective sample sizes meet the convergence criterion."""
+    """Return True if a run's R-hat and ESS meet the convergence criterion. Test scores count for R-hat only."""
     return meets_criterion(
         float(np.max(table["rhat"].to_numpy())), fewest(table), trace["posterior"].sizes["chain"]
     )

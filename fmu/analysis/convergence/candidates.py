@@ -36,7 +36,7 @@ class Candidates(NamedTuple):
     needed : int
         Number needed to visit every component often enough.
     share : float
-        Smallest weight of any component, negligible ones excluded.
+        Smallest weight of any component; weights below 0.1 % are ignored.
     """
 
     drawn: int
@@ -76,7 +76,7 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
 
 
 def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
-    """Return the mixture settings that each group of chains used, one dict per group."""
+    """Return the mixture settings of each group of chains, or a single dict if all groups have the same."""
     learnt = json.loads(trace.attrs["learnt"])
     if not learnt or int(trace.attrs["groups"]) == 1:
         return [learnt or json.loads(trace.attrs["settings"])]

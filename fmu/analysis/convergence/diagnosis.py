@@ -78,7 +78,7 @@ class Diagnosis:
     Attributes
     ----------
     converged : bool
-        Whether there is no reason against convergence.
+        Whether the run has converged, that is, whether there are no `reasons`.
     reasons : tuple of str
         Why the run has not converged, one sentence per reason: missed or badly visited maxima first, then failed
         tests of the draws, then an invalid certificate. Empty if it has converged.
@@ -130,10 +130,10 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Why the run has not converged or, if it has, the doubts about the search for maxima.
+        """The sentences to show below the `state`.
 
-        Without doubts, the result of the search stands in for them, and `few` replaces them. `few` and `stopped`
-        follow.
+        If the run has not converged, these are the reasons. If it has, they are the doubts about the search for
+        maxima or, without doubts, its result; both are left out if `few` is not empty. `few` and `stopped` follow.
         """
         said = self.reasons
         if self.converged and not self.few:
@@ -289,7 +289,7 @@ def _is_above(trace: xr.DataTree, level: float) -> bool:
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return why a run has not converged, the certificate apart, and warnings on doubtful masses of maxima."""
+    """Return the reasons against convergence, except for the certificate, and warnings on doubtful masses."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1

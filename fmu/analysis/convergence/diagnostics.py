@@ -77,10 +77,11 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
         ``ess_tail``, and the Monte-Carlo standard errors ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``.
         R-hat is NaN for a single chain. R-hat, ESS and standard errors are NaN for a constant, a draw that is not
-        finite, or fewer than four draws. Plain emcee (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws
-        divided by emcee's own autocorrelation time. This time is too short by about 10 times its square over the
-        number of steps (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers
-        stay in separate modes. ``attrs["units"]`` maps parameters to units.
+        finite, or fewer than four draws; tail ESS and an end's standard error also if no draw exceeds the
+        quantile. Plain emcee (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws divided by emcee's own
+        autocorrelation time. This time is too short by about 10 times its square over the number of steps
+        (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers stay in separate
+        modes. ``attrs["units"]`` maps parameters to units; ``attrs["scores"]`` lists the test scores.
 
     Raises
     ------
@@ -169,7 +170,7 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArray:
     """Return the number of autocorrelation times that the first `part` of a run spans, shape (ndim,).
 
-    `part` is a fraction of the run. For each parameter, the slowest ensemble determines the autocorrelation time.
+    `part` is a fraction. The slowest ensemble determines a parameter's time; NaN if an ensemble does not move.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -204,22 +205,20 @@ def convergence_failures(
     A run passes if:
 
     - it has at least two chains, and no chain stays at one point for a fifth of its draws and at least 20 draws;
-    - R-hat of every parameter is below 1.01;
+    - R-hat of every parameter is below 1.01, and R-hat of the test scores in a population is below 1.05;
     - bulk and tail ESS of every parameter are at least 400, and at least 100 per chain (Vehtari et al. 2021);
     - the standard errors of the means are below 0.1 posterior sd, and those of the 90 % interval ends below 0.12;
-    - R-hat of the test scores in a population is below 1.05, which is the only test of the scores;
     - at most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a mixture, and
       every chain's E-BFMI is at least 0.3;
     - a mixture had enough candidates for each of its components (`fmu.analysis.convergence.candidates`), and the
       weights of a curved mixture have no heavy tail.
 
-    For an ensemble sampler, each ensemble counts as a chain. It needs at least four ensembles, a length of at
-    least 50 autocorrelation times, and an R-hat over walkers below 1.05. In a shorter run, R-hat over walkers is
-    reported only if walkers stay in separate regions (`rhat_over_walkers`). Plain emcee (`fmu.from_emcee`) may
-    have fewer ensembles. A single ensemble has no R-hat; the verdict then depends on the other tests, and
-    `few_ensembles` states what it cannot exclude. A quantity that is NaN fails its test.
-
-    Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
+    ESS and standard errors of test scores are not tested. For an ensemble sampler, each ensemble counts as a
+    chain. It needs at least four ensembles, a length of at least 50 autocorrelation times, and an R-hat over
+    walkers below 1.05. In a shorter run, R-hat over walkers is reported only if walkers stay in separate regions
+    (`rhat_over_walkers`). Plain emcee (`fmu.from_emcee`) may have fewer ensembles. A single ensemble has no R-hat;
+    the verdict then depends on the other tests, and `few_ensembles` states what it cannot exclude. A quantity that
+    is NaN fails its test. Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
     Parameters
     ----------
@@ -235,7 +234,8 @@ def convergence_failures(
     -------
     list of str
         One sentence for each failed test, on the worst parameter, the most serious first. If more draws would
-        help, the first such test also says about how many are needed (`fmu.analysis.convergence.remedies`).
+        help, the first sentence on R-hat, ESS or the length also says about how many are needed, or how to make
+        the chains agree (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
     if table is None:
@@ -312,7 +312,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a list with a sentence if a chain or walker stays put for a fifth of its steps, and at least 20."""
+    """Return a list with a sentence if a chain or walker stays put for a fifth of its steps and at least 20."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -341,9 +341,9 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
     """Return a mask of the Hamiltonian trajectories that diverged, or a single 0 if there is none to test.
 
-    There is none if the sampler has no trajectories, or if most steps are mixture candidates. A diverged
-    trajectory stays at its starting point, but a candidate does not depend on that point, and the candidates'
-    weights show how well the mixture fits the posterior.
+    There is none if the sampler has no trajectories, or if most steps are mixture candidates, which are not in the
+    mask. A diverged trajectory stays at its starting point, but a candidate does not depend on that point, and the
+    candidates' weights show how well the mixture fits the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)
@@ -355,7 +355,7 @@ def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
 
 
 def _diverges_for_good(trace: xr.DataTree) -> bool:
-    """Return True if more trajectories diverge than the limit allows, by at least two standard errors."""
+    """Return True if more trajectories diverge than the limit allows, by more than two standard errors."""
     diverging = _trajectories_that_diverged(trace)
     n = float(diverging.sum())
     return n - 2.0 * np.sqrt(n) > DIVERGING_LIMIT * diverging.size

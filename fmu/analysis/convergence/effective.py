@@ -93,8 +93,8 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the standard error of s² divided by 2 s.
 
-    The smaller of the squares' ESS and the tail ESS is used, NaN ignored, because the latter shows slow mixing in
-    a tail earlier.
+    The ESS is the smaller of the squares' ESS and the tail ESS, which shows slow mixing in a tail earlier. If one
+    of them is NaN, the other is used.
     """
     if _is_degenerate(x):
         return np.nan
@@ -252,9 +252,9 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
 
 
 MOST_RANKED = 2000
-"""Number of draws per chain used for R-hat of a run in progress."""
+"""Largest number of draws per chain used for R-hat of a run in progress."""
 MOST_BATCHES = 2000
-"""Number of batch means per chain used for the ESS of a run in progress."""
+"""Largest number of batch means per chain used for the ESS of a run in progress."""
 MOST_STEPS = 20_000
 """Largest number of steps per chain that enter the batches."""
 
@@ -281,7 +281,7 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False
 
     Notes
     -----
-    For longer runs, R-hat is computed from every k-th draw, 2000 per chain; this changes R-hat by less than its
+    For longer runs, R-hat is computed from every k-th draw, up to 2000 per chain; this changes it by less than its
     own error. ESS is computed from batch means, because batching, unlike thinning, does not change the variance of
     the mean: with batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps per chain only
     every k-th step is used; the ESS of nearly independent draws is then a lower bound, about 20 000 per chain.
@@ -340,11 +340,11 @@ def _rank_normalised(x: FloatArray) -> FloatArray:
 LENGTHS = 20
 _FEWEST = 20
 MOST_RANKED_OF_RUNNING = 1500
-"""Number of draws per chain ranked for R-hat of a run in progress or of a run's first draws."""
+"""Largest number of draws per chain that are ranked for R-hat of a run's first draws."""
 
 
 def lengths(steps: int, n: int = LENGTHS) -> IntArray:
-    """Return up to `n` increasing step counts from at most 20 to `steps`, evenly spaced on a logarithmic scale."""
+    """Return up to `n` increasing step counts from 20 (or less) to `steps`, evenly spaced on a log scale."""
     return np.unique(np.geomspace(min(_FEWEST, steps), steps, n).round().astype(np.int64))
 
 

@@ -48,7 +48,8 @@ def meets_criterion(rhat_max: float, ess_min: float, chains: int) -> bool:
 def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
     """Return R-hat, ESS and cost over the first draws of a run, for increasing numbers of draws.
 
-    If a chain has more than 10 000 draws, R-hat is computed from every k-th draw, 2000 per chain.
+    R-hat of more than 10 000 draws per chain is computed from every k-th draw, at most 2000 per chain. R-hat and
+    ESS are NaN if they are undefined for any parameter.
 
     Parameters
     ----------
@@ -98,8 +99,8 @@ def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> floa
     ----------
     trace : xarray.DataTree
     grown : Growth, optional
-        ``growth(trace)``, if already computed. Between its last step that fails and its first step that meets the
-        criterion, up to five bisections improve the number.
+        ``growth(trace)``, if already computed. Up to five bisections between its first number of draws that meets
+        the criterion and the number before it improve the result.
     """
     grown = growth(trace) if grown is None else grown
     chains = trace["posterior"].sizes["chain"]

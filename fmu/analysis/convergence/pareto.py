@@ -36,9 +36,9 @@ class _Tail(NamedTuple):
 def pareto_k(log_w: FloatArray) -> float:
     """Return the Pareto shape parameter k of importance weights, given their logarithms (n,).
 
-    k is infinite if fewer than five weights form the tail, or if the largest weights are all equal, as in a chain
-    that has not moved. It is minus infinity if all weights are equal, and NaN if the lower quarter of the tail is
-    constant.
+    k is infinite if fewer than five weights form the tail, if the largest weights are all equal, as in a chain
+    that has not moved, or if the fit is undefined. It is minus infinity if all weights are equal, and NaN if the
+    lower quarter of the tail is constant.
     """
     try:
         return _tail(log_w - np.max(log_w)).shape
@@ -59,8 +59,9 @@ def heavy_tail_in_words(k: float) -> str:
 def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatArray, float]:
     """Return the logarithms of Pareto-smoothed weights, (n,), and the Pareto shape k of their tail.
 
-    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, unless k is
-    infinite or NaN. The weights returned sum to 1; they are NaN if the fitted scale is not positive.
+    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, at most the
+    largest weight, unless k is infinite or NaN. The weights returned sum to 1; they are NaN if the fitted scale is
+    not positive.
 
     Parameters
     ----------

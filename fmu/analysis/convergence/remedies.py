@@ -47,11 +47,11 @@ def required_ess(chains: int) -> int:
 
 
 def without_scores(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a summary without the rows of test scores, of which only R-hat is tested, with a limit of its own.
+    """Return a summary without the rows of test scores, whose ESS and standard errors are not tested.
 
     A test score is a test's standardised deviation from the population mean. There are many of them, so the worst
-    R-hat or ESS among them is poor by chance alone. Their information is contained in the population's mean and
-    standard deviation, and in each test's structural parameters.
+    ESS among them is poor by chance alone; for the same reason, their R-hat has a higher limit. Their information
+    is contained in the population's mean and standard deviation, and in each test's structural parameters.
     """
     return table[~_is_score(table)]
 
@@ -106,10 +106,11 @@ def rhat_excess(table: pd.DataFrame) -> float:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return the number of steps to draw before an insufficient run is judged again.
 
-    If `growth` is below 1.1, the run is extended to 1.01 times the predicted length, and by at least 2 %. If it is
-    larger, 80 % of the missing steps are drawn. The run is at most doubled, because a longer run gives a better
-    prediction. If only R-hat is too high, the run grows by 5 to 15 %, because R-hat scatters too much for a
-    prediction. In all other cases the run is doubled.
+    If `growth` lies between 1 and 1.1, the run is extended to 1.01 times the predicted length, and by at least 2
+    %. If it is larger, 80 % of the missing steps are drawn, but the run is at most doubled, because a longer run
+    gives a better prediction. If `growth` is at most 1 and only R-hat is too high, the run grows by 5 to 15 %,
+    because R-hat scatters too much for a prediction. In all other cases, for example if the ESS is unreliable, the
+    run is doubled.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 
 
 def for_divergences(trace: xr.DataTree) -> str:
-    """Return the remedy for diverging trajectories, which depends on the trace's sampler."""
+    """Return the remedy for diverging trajectories, given the trace's sampler and its target acceptance rate."""
     if trace.attrs["sampler"] == "mixture":
         return f"; {RATIOS}"
     settings = json.loads(trace.attrs["settings"]) | json.loads(trace.attrs.get("learnt", "{}"))

@@ -34,9 +34,9 @@ width."""
 
 
 def slope(scaled: ScaledDensity, model: Quadratic) -> float:
-    """Return the slope of log P in nats per posterior standard deviation, with active bounds held fixed.
+    """Return the slope of log P in nats per posterior standard deviation, along coordinates at no active bound.
 
-    The slope is √(gᵀH⁻¹g) over the free coordinates, that is the gradient's length in the posterior metric.
+    The slope is √(gᵀH⁻¹g) over these free coordinates, that is the gradient's length in the posterior metric.
     """
     from fmu.posterior.ascent import decrement
 
@@ -49,7 +49,8 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
 
     If the gradient does not vanish, log P is followed along the Newton step of the quadratic model, from 1e-8 to a
     tenth of the step. Bisection then finds the first point where log P rises by less than half of what the
-    quadratic model predicts. If there is no such point, the kind is `SLOPE`.
+    quadratic model predicts. If there is no such point, the kind is `SLOPE`. It is `EDGE` if log P is not finite
+    there, `JUMP` if log P falls there by more than 0.05, and otherwise `KINK`.
 
     Parameters
     ----------

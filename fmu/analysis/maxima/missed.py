@@ -98,7 +98,8 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     Returns
     -------
     list of str
-        One sentence per maximum with a remedy, and one sentence on where the chains are; empty if all is well.
+        One sentence per maximum with a remedy, and one sentence on where the chains are. Empty if there are no
+        such maxima, or if the masses are unreliable (`compare_shares`).
     """
     return compare_shares(trace, maxima).reasons
 
@@ -106,11 +107,12 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     """Compare the fraction of a run's draws around each maximum with the maximum's posterior probability.
 
-    If the two differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong; the estimate with the larger
-    ESS counts. For the fraction this is the ESS of the indicator "at this maximum", or the number of chains if no
-    chain ever changes maxima. For the probability it is the ESS of the importance weights. If no draw is near some
-    important maximum, only such maxima are reported. Otherwise nothing is reported if a draw is higher than all
-    maxima, whose masses are then unreliable; nor for a plain log-density whose maxima have no reliable masses.
+    If the two differ by more than a factor `OUT_OF_PROPORTION`, and are not both below 5 %, one of them is wrong;
+    the estimate with the larger ESS counts. For the fraction this is the ESS of the indicator "at this maximum",
+    or the number of chains if no chain enters or leaves the maximum. For the probability it is the ESS of the
+    importance weights. If no draw is near some important maximum, only such maxima are reported. Otherwise nothing
+    is reported if a draw is higher than all maxima, whose masses are then unreliable; nor for a plain log-density
+    whose maxima have no reliable masses.
 
     Parameters
     ----------
@@ -163,7 +165,7 @@ class Visits(NamedTuple):
     ----------
     share, error : ndarray, shape (maxima,)
         Fraction of the draws assigned to each maximum, and its Monte-Carlo standard error. The error is NaN if no
-        chain ever changed maxima.
+        chain ever changed maxima, or if the fraction is 0 or 1.
     crossings : ndarray of int, shape (chains,)
         Number of moves from one maximum to another in each chain, summed over the walkers of an ensemble.
     """
@@ -199,8 +201,9 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 def _effective_weights(maxima: Maxima, k: int) -> float:
     """Return the ESS of a maximum's estimated mass.
 
-    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. Its mass is then as surely
-    negligible as the other masses are known, so the largest ESS of any maximum is returned.
+    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass, or no draw of finite
+    weight. Its mass is then as surely negligible as the other masses are known, so the largest ESS of any maximum
+    is returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
@@ -228,7 +231,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
     """Return a clause that says how many chains or walkers are around each maximum, or near none.
 
     `nearest` (chains, steps, walkers) contains the index of each draw's maximum, or −1 if the draw is near no
-    maximum.
+    maximum. A chain or walker counts where it has the most draws.
     """
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
@@ -270,11 +273,12 @@ def missed_places(
 ) -> list[str]:
     """Return a sentence on each region with more than 1 % of the mass that another run visited, but not this run.
 
-    A draw of another run is far if its distance to every draw of this run exceeds three times the distance between
-    this run's chains, in the metric of the covariance within those chains. The mass of the far draws is estimated
-    as exp(E[log P] + S), where S is the entropy of a Gaussian; this is exact if P is Gaussian. It is compared with
-    the same estimate for this run, or with the total mass of the known maxima if that is larger. Regions near a
-    known maximum are left to `missed_maxima`.
+    A draw of another run is far if its distance to every draw of this run exceeds three times the gap between this
+    run's chains, in the metric of the covariance within those chains. The gap is the 99 % quantile of the
+    distances from a draw to the nearest draw of another chain. The mass of the far draws is estimated as exp(E[log
+    P] + S), where S is the entropy of a Gaussian; this is exact if P is Gaussian. It is compared with the same
+    estimate for this run, or with the total mass of the known maxima if that is larger. Regions near a known
+    maximum are left to `missed_maxima`.
 
     Parameters
     ----------
@@ -316,6 +320,8 @@ class _Paths:
 
     Attributes
     ----------
+    chains : int
+        Number of chains or ensembles.
     position : ndarray, shape (paths, steps, ndim)
     log_prob : ndarray, shape (paths, steps)
     """

@@ -125,7 +125,7 @@ def _importance(
 
 
 def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
-    """Return the mass and moments of P around each maximum, or None for a maximum without a finite-weight draw."""
+    """Return the mass and moments of P around each maximum, or None for one without a draw of finite weight."""
     belongs = log_shares(maxima, u)
     return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 

@@ -136,7 +136,7 @@ class PlainDensity:
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
         """Return the log-density and its gradient, either exact or by central differences.
 
-        If they are not finite, the log-density is set below all values seen so far, and the gradient to zero.
+        If either is not finite, the log-density is set below all values seen so far, and the gradient to zero.
         Raise ValueError unless the density returns real numbers of the right shapes.
         """
         points = np.atleast_2d(theta)

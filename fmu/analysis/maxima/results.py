@@ -128,7 +128,7 @@ class PosteriorMaximum:
 
 @dataclass(frozen=True, eq=False)
 class Maxima:
-    """All local maxima found, the highest first; a sequence of `PosteriorMaximum`.
+    """The local maxima found, the highest first; a sequence of `PosteriorMaximum`.
 
     Attributes
     ----------

@@ -89,13 +89,14 @@ def find_map(
     so a second search with the same number of starting points and the same seed costs nothing.
 
     If the model is a function without derivatives that takes 0.05 s or longer, the search takes about as many
-    solves as building a surrogate, unless `starts` is given; `Maxima.doubts` then says after how many starting
-    points it ended.
+    solves as building a surrogate, unless `starts` is given. If it ends at this limit, `Maxima.doubts` says after
+    how many starting points.
 
     For any other log-density, the starting points are drawn from its prior (``sample_prior``), or within its
     bounds. A density with neither is searched around its starting point, which excludes no other maxima;
     `Maxima.doubts` and the verdict on a run state this. A maximum that attracts fewer than one in `starts`
-    starting points may be missed. Unless `starts` is given, the search ends after 20 000 evaluations.
+    starting points may be missed. Unless `starts` is given, the search ends after 20 000 evaluations at the
+    latest.
 
     Parameters
     ----------
@@ -110,9 +111,10 @@ def find_map(
     Returns
     -------
     Maxima
-        The maxima, the highest first. The Hessians are differences of the gradient if the gradient is smooth
-        (`hessian_at`). The masses are integrals within the bounds by importance sampling around each maximum
-        (`mode_weights`), so they account for active bounds and non-Gaussian shapes.
+        The maxima, the highest first; for a plain log-density, only the eight highest. The Hessians are
+        differences of the gradient if the gradient is smooth (`hessian_at`). The masses are integrals within the
+        bounds by importance sampling around each maximum (`mode_weights`), so they account for active bounds and
+        non-Gaussian shapes.
 
     Raises
     ------
@@ -200,11 +202,11 @@ def _weigh(
     most: float = np.inf,
     draws: int = DRAWS,
 ) -> Maxima:
-    """Compute the curvature and mass of each maximum found.
+    """Compute the curvature and mass of each maximum found, the mass with `draws` draws at each temperature.
 
-    `solved` and `differentiated` are the numbers of solves and gradients so far. If the solves are limited to
-    `most`, the curvature for modal errors is the Gauss–Newton matrix, and the remaining solves are spent on the
-    mass, with at least eight draws at each maximum and temperature.
+    `solved` and `differentiated` are the numbers of solves and gradients before the search. If the solves are
+    limited to `most`, the curvature for modal errors is the Gauss–Newton matrix, and the mass takes only as many
+    draws as the remaining solves allow, but at least eight at each maximum and temperature.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -301,17 +303,19 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and how it was computed.
 
     The Hessian is computed from differences of the gradient, one-sided at the bounds. The step is a
-    twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero. Where modes swap, the
-    gradient jumps, and differences with another step disagree. For modal errors the Gauss–Newton matrix is then
-    used, and also if the Hessian is not positive definite away from the bounds: JᵀJ of the residuals plus the
-    curvature of the prior. It may be ten times too small if residuals are several standard deviations.
+    twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero.
+
+    For modal errors, the Gauss–Newton matrix replaces it in two cases: if differences with half the step disagree,
+    because the gradient jumps where modes swap, or if the Hessian is not positive definite over the parameters
+    that are not at a bound. This matrix is JᵀJ of the residuals plus the curvature of the prior. It may be ten
+    times too small if residuals are several standard deviations.
 
     Parameters
     ----------
     problem : UpdatingProblem
     theta : ndarray, shape (ndim,)
     is_rough : bool
-        Whether the Gauss–Newton matrix, which takes one gradient, suffices if there is one.
+        Whether the Gauss–Newton matrix, which takes one gradient, suffices for modal errors.
 
     Returns
     -------

@@ -38,7 +38,7 @@ _HALVINGS = 30
 _SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 _IN_A_NECK = 10.0
-"""Effective draws, of the hundreds around a maximum, below which the quadratic model there is of no use."""
+"""ESS of the draws around a maximum, of which there are hundreds, below which its quadratic model is useless."""
 _FIT_BADLY = 64.0
 """Effective draws below which a model with a discrepancy gets components for many sizes of the discrepancy."""
 
@@ -125,8 +125,8 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
     """Return the maxima of a plain log-density if they are better starting points than its prior, otherwise None.
 
-    They are better if there are several, of which even an improbable one can catch chains, or if there is no
-    prior, provided that the mass is around the maxima, unlike in a funnel.
+    They are better if there are several, as even an improbable one can catch chains, or if there is no prior. In
+    both cases their masses must be reliable, which they are not in a funnel.
     """
     return maxima if maxima.are_weighed and (len(maxima) > 1 or not has_prior(density)) else None
 
@@ -193,11 +193,12 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:
     """Return quadratic models at the important maxima, in scaled coordinates, their mixture weights, and a warp.
 
-    At most eight maxima are taken. Half of the weight is proportional to their posterior probabilities, half is
-    equal. A sampler then gets enough first candidates around each maximum to find its shape, and notices a
-    probability that was estimated far too low. If `maxima` is None, the single component is at the typical point
-    of a hierarchical posterior. If the quadratic models are poor because a discrepancy is inferred, the components
-    lie along its funnel instead. They are then Gaussians in the coordinates of the warp, which is None otherwise.
+    At most eight maxima are taken, with more than 1e-6 of the probability. Half of the weight is proportional to
+    their posterior probabilities, half is equal. A sampler then gets enough first candidates around each maximum
+    to find its shape, and notices a probability that was estimated far too low. If `maxima` is None, the single
+    component is at the typical point of a hierarchical posterior. If the quadratic models are poor because a
+    discrepancy is inferred, the components lie along its funnel instead. They are then Gaussians in the
+    coordinates of the warp, which is None otherwise.
     """
     if maxima is None:
         return [middle(density)], np.ones(1), None

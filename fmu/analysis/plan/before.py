@@ -54,7 +54,7 @@ class Before:
         Reference values of all parameters, of which ψ is a subset: the starting point or, after several tests or
         with a run, the posterior mean. Test scores and losses have their prior medians.
     columns : ndarray of int, shape (P,)
-        Indices of ψ among all parameters.
+        Indices of ψ in `every`.
     parameters : tuple of Parameter
         The P parameters ψ.
     draws : ndarray, shape (n, P), SI units
@@ -62,8 +62,8 @@ class Before:
     scale : ndarray, shape (P, P)
         L, where LLᵀ is the covariance of ψ.
     losses : tuple of int
-        Index in theta of each parameter that may have decreased since a single test. The losses are the last
-        entries of all parameters.
+        Index in theta of each parameter that may have decreased since a single test. The relative losses are the
+        last entries of `every`.
     is_prior : bool
         Whether ψ are the structural parameters of a single test, all of them updated, with their priors.
     doubts : tuple of str

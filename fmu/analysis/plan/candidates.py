@@ -113,8 +113,8 @@ def find_candidates(
     Raises
     ------
     ValueError
-        If a sensor or a place does not exist, a sensor is given twice (in a list of fewer than 100), a cost is not
-        positive, or no candidate is left.
+        If a sensor or a place does not exist, a sensor is given twice, a cost is not positive, or no candidate is
+        left.
     """
     require_sensors(given, mounted, structure.sees, "must be a place and a direction that are free to move")
     require_places({place for place, _ in structure.dof_of} | _places(structure), exclude, costs)
@@ -158,9 +158,10 @@ def group_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Group channels that exist into candidates, without excluded places and without mounted channels in `given`.
+    """Group channels that exist into candidates.
 
-    `find_candidates` describes the arguments and errors.
+    Channels in `given` that are mounted or at excluded places are left out. `find_candidates` describes the
+    arguments and errors.
     """
     for key, sensors in (("candidates", given), ("mounted", mounted)):
         twice = first_repeated([(place, direction) for place, direction in sensors])

@@ -133,7 +133,8 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
     """Linearise the test of a user's function or a surrogate, whose candidates are the sensors in the data.
 
-    Raise ValueError if the test has changes, the data lack the modes or channels, or no candidate sees a mode.
+    Raise ValueError if the test has changes, the model gives no mode shapes, the data lack the modes or channels,
+    or a mode moves no candidate or a candidate is moved by no mode.
     """
     if wishes.changes:
         raise ArgumentError("changes", "need a model with matrices", before.model.name)
@@ -164,9 +165,9 @@ def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return only the candidates and channels that some mode moves.
+    """Return only the candidates and channels that some measured mode moves.
 
-    Raise ValueError if no mode moves a mounted sensor or, if `are_named`, a candidate.
+    Raise ValueError if no measured mode moves a mounted sensor or, if `are_named`, a candidate.
     """
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
@@ -195,7 +196,8 @@ def _own_candidates(
 ) -> Candidates:
     """Return the candidates of a model that has no matrices, which are the sensors of the problem's data.
 
-    Raise ValueError if the model gives no mode shapes, or a sensor or place is not in the data.
+    Raise ValueError if the model gives no mode shapes, a sensor or place is not in the data, a sensor is given
+    twice, a cost is not positive, or no candidate is left.
     """
     own = before.data.sensors
     if not (before.model.gives_shapes and own):

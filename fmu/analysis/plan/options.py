@@ -24,7 +24,7 @@ ENOUGH = 0.95
 
 
 def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> pd.DataFrame:
-    """Return a table of each mode's information at the chosen sensors, in nats.
+    """Return a table of each mode's information at the chosen sensors, in nats. Drift is ignored.
 
     Columns: ``frequency_hz`` at the reference parameters; ``alone``, the information from this mode only;
     ``needed``, the information lost without this mode; ``frequency_only``, the information lost if its mode shape

@@ -65,10 +65,12 @@ def plan(
     """Plan a modal test: choose the sensors that reduce the parameter uncertainty most.
 
     The model is linearised at draws from the prior or, with a trace, from a run's posterior. Greedy selection and
-    exchanges maximise the expected information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J). An upper bound from convex
-    relaxation shows how far the plan can be from the best choice. Parameter bounds and non-Gaussian posteriors are
-    ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the most informative sensors would not
-    let the modes be paired by MAC, only choices that do are considered, if there are any.
+    exchanges maximise the expected information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J), where J contains the derivatives of
+    the measured values with respect to the scaled parameters, and Σ_e the variances of the measurement errors. An
+    upper bound from convex relaxation shows how far the plan can be from the best choice. Parameter bounds and
+    non-Gaussian posteriors are ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the most
+    informative sensors would not let the modes be paired by MAC, only choices that do are considered, if there are
+    any.
 
     Parameters
     ----------
@@ -99,8 +101,8 @@ def plan(
         numbers, from 1, among all elastic modes. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
         Relative standard deviation of the frequencies in one test. Defaults to the standard deviations of the
-        problem's frequency errors, or to their median if another number of modes is planned; to 0.005 without
-        frequency errors.
+        problem's frequency errors (with a covariance, each given the other frequencies), or to their median if
+        another number of modes is planned; to 0.005 without frequency errors.
     shape_sd : float
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     drift : float
@@ -229,8 +231,9 @@ def _frequency_sd(
 ) -> FloatArray | float:
     """Return the relative standard deviations of the frequencies in a test of the problem, (n_modes,).
 
-    If that test has another number of modes, return their median; without frequency errors, return `FREQUENCY_SD`.
-    Inferred standard deviations have their posterior means or, without a run, their starting values.
+    With a covariance, each is given the other frequencies. If that test has another number of modes, return their
+    median; without frequency errors, return `FREQUENCY_SD`. Inferred standard deviations have their posterior
+    means or, without a run, their starting values.
     """
     term, n = problem.likelihood.frequency_term, problem.n_structural
     if term is None:

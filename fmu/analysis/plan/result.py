@@ -62,9 +62,10 @@ class Plan:
     curve : DataFrame
         ``information`` of the mounted sensors and the first n chosen ones, one row per n from 0.
     choices : DataFrame
-        The plan and the customary choices: ``information``; ``median_sd``, relative to before the test;
-        ``largest_auto_mac`` off the diagonal; ``wrong_pairs``, the largest fraction of wrong pairings of any mode;
-        for a decision about damage, also ``if_none`` and ``if_twice`` (`Decision.worst`).
+        The plan, the most informative choice if it does not allow pairing, and the customary choices:
+        ``information``; ``median_sd``, relative to before the test; ``largest_auto_mac`` off the diagonal;
+        ``wrong_pairs``, the largest fraction of wrong pairings of any mode; for a decision about damage, also
+        ``if_none`` and ``if_twice`` (`Decision.worst`).
     modes, repeats, second_tests : DataFrame
         See `fmu.analysis.plan.options`; `second_tests` is None without changes.
     pairing : Pairing

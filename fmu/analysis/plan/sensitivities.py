@@ -63,13 +63,13 @@ class Sensitivities:
     ----------
     seen : ModalPrediction
         Frequencies (n, m), mode shapes (n, rows, m) and their derivatives with respect to the parameters; the last
-        modes are spare.
+        modes may be spare.
     nominal : ModalPrediction
         The same modes at the reference parameters, n = 1, without derivatives.
     model : ModalModel
         Model that computed the modes; it may be reduced.
     n_solves : int
-        Solves of the model, or calls of a user's function.
+        Solves of `model` at the draws, or calls of a user's function.
     certificate : Certificate or None
         Errors of the reduced model; None if the model is not reduced.
     kept : ndarray of bool, shape (n_draws,), or None
@@ -118,7 +118,10 @@ def paired_with_itself(
 def pick_modes(
     structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], modes: int | Sequence[int]
 ) -> tuple[tuple[int, ...], PairedStructure]:
-    """Return the 0-based indices of the modes to measure, and the structure paired with all modes up to the last.
+    """Return the 0-based indices of the modes to measure, and the structure paired with its modes.
+
+    The structure is paired with all modes up to the last one to measure, and with spare ones
+    (`paired_with_itself`).
 
     Parameters
     ----------

@@ -96,9 +96,10 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
 
 
 def without_the_unneeded(before: Before, target: Target | None) -> Before:
-    """Return a copy without the parameters that affect neither the test nor the target.
+    """Return a copy without the parameters ψ that affect neither the test nor the target.
 
-    If ψ are the structural parameters of a single test with their priors, all are kept.
+    If ψ are the structural parameters of a single test with their priors, all are kept. Raise ValueError as
+    `target_of` does.
     """
     if before.is_prior:
         return before
@@ -141,7 +142,7 @@ class Decision:
     def of(cls, target: Target | None, before: Before) -> Decision | None:
         """Return the decision that a `DamageTarget` describes, or None for any other target.
 
-        Raise ValueError as `losses_of`.
+        Raise ValueError if the planned test resembles a test of the reference state, which has no losses.
         """
         damage = damage_in(target)
         if damage is None:

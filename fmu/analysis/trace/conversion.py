@@ -1,8 +1,8 @@
 """Convert a sampler run to an ArviZ trace, and store traces in netCDF files.
 
-All samplers share one conversion, so all traces have the same groups, names and dimensions ``(chain, draw, *)``.
-For an ensemble sampler the draw dimension has length steps × walkers and is step-major; the trace's attributes
-give the number of walkers.
+All samplers share one conversion, so groups, variables and dimensions ``(chain, draw, *)`` have the same names in
+all traces. For an ensemble sampler the draw dimension has length steps × walkers and is step-major; the trace's
+attributes give the number of walkers.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ def to_trace(
     predictions : bool
         Whether to solve the model at the draws for the groups that need frequencies.
     draws_only : bool
-        Whether to leave out all groups derived from the draws. Convergence can be judged without them.
+        Whether to leave out the prior and all groups computed from the draws, except ``tempering``. Convergence
+        can be judged without them.
     frequency : ndarray, shape (chains, draws, n_modes), Hz, optional
         Computed frequencies at the draws, if they are known.
 
@@ -91,12 +92,13 @@ def to_trace(
 
         - ``posterior`` and ``warmup_posterior``: one variable per parameter, SI units;
         - ``sample_stats`` and ``warmup_sample_stats``: statistics of the sampler;
-        - ``log_likelihood``: ``frequency``, or ``residual`` for the modal residual, one value per used mode; with
-          correlated errors also ``frequency_given_others``; with FRFs also ``frfs``;
+        - ``log_likelihood``, one value per used mode: ``frequency`` if the only errors of modes are known absolute
+          errors of frequencies, ``residual`` for the modal residual, otherwise ``modes``. If errors of different
+          modes are correlated, also ``frequency_given_others``; with FRFs also ``frfs``;
         - ``misfit``, and ``quantities`` for masses and displacements: see `fmu.analysis.trace.misfit`;
-        - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
-          ``frequency`` with measurement noise, except under the modal residual, which has no noise. For repeated
-          tests ``frequency`` is the mean over as many new tests, and ``one_more_test`` is a single test;
+        - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise and,
+          with errors of frequencies, ``frequency`` with measurement noise. For repeated tests ``frequency`` is the
+          mean over as many new tests, and ``one_more_test`` is a single test;
         - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
@@ -242,7 +244,7 @@ def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, .
 def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
     """Return a dataset of the sampler's statistics, without the log-likelihoods at tempered rungs.
 
-    Mixture weights P/q are converted to densities in SI units.
+    In the mixture weights P/q, which are stored as logarithms, the density q is converted to SI units.
     """
     import xarray as xr
 
@@ -256,7 +258,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return a dataset with bounds, starting point, roles of parameters, and weights of the frequencies."""
+    """Return a dataset with bounds, start, parameters' roles, and frequency weights and covariance, if known."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}
@@ -284,7 +286,7 @@ def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
 def _frequency_groups(
     result: RunResult, problem: Any, frequency: FloatArray | None = None
 ) -> dict[str, xr.Dataset]:
-    """Return the trace groups that need computed frequencies; repeated draws are not solved again."""
+    """Return the trace groups that need the model at the draws. Repeated draws are solved only once."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}

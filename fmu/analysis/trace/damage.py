@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 BY_TEST = "loss_by_test"
 """Name of the trace group with each test's losses, for damage at an unknown date."""
 ANY = "any"
-"""Row name for the largest loss in a state."""
+"""Row name for the largest loss in a state or test."""
 WITHHELD = "withheld"
 """Text for a probability that is not given, and name of the table attribute with the reason."""
 
@@ -70,7 +70,7 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
 
 @check_arguments
 def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.DataFrame:
-    """Return each test's losses of the parameters with damage at an unknown date (`fmu.UndatedDamage`).
+    """Return the losses in each test of the parameters with damage at an unknown date (`fmu.UndatedDamage`).
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return posterior means before and after damage, SI units, of every parameter that has a loss in each state.
+    """Return the posterior means, in SI units, of every parameter that has a loss, before and after the damage.
 
     The mean before damage is taken over the tests of the reference state.
 
@@ -167,6 +167,9 @@ def before_in_words(trace: xr.DataTree) -> str:
 
 
 def state_in_words(trace: xr.DataTree, state: str) -> str:
-    """Return a state and its tests in words: ``"pattern 1 (test one)"``."""
+    """Return a state and its tests in words: ``"pattern 1 (test one)"``.
+
+    Return only the state if its single test has the same name.
+    """
     tests = tests_in(trace, state)
     return state if tests == [state] else f"{state} (test{'s' * (len(tests) > 1)} {names_in_words(tests)})"

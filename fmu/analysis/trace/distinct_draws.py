@@ -17,7 +17,7 @@ _NUMBERS = 2**18
 
 
 def batch_of(theta: FloatArray) -> int:
-    """Return the number of draws of theta (n, ndim) to evaluate in one batch, fewer if ndim is large."""
+    """Return the number of draws of theta (n, ndim) in one batch: `BATCH`, or fewer if ndim is large."""
     return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
 
 
@@ -61,12 +61,14 @@ class DistinctDraws:
         return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
 
     def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int | None = None) -> FloatArray:
-        """Return a function's values at every draw, shape (chains, draws, ...); report progress as "predictions".
+        """Return a function's values at every draw, shape (chains, draws, ...).
+
+        The progress is reported as the phase "predictions".
 
         Parameters
         ----------
         function : callable
-            Maps (n, ndim) to (n, ...). It is called with at most `batch` rows, and once for each distinct draw.
+            Maps (n, ndim) to (n, ...). It is called with at most `batch` rows, which are distinct draws.
         batch : int, optional
             Defaults to `batch_of` the draws.
         """

@@ -16,7 +16,7 @@ from fmu.plain_data import mapping_in
 from fmu.types import BoolArray, FloatArray
 
 _THINNED = 1.02
-"""Steps were not stored if there are more moves than this times the accepted proposals, plus one per walker."""
+"""Some steps were not stored if there are more moves than this times the accepted proposals + one per walker."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,10 @@ class StoredEnsemble:
 
 
 def check_alike(ensembles: list[StoredEnsemble]) -> None:
-    """Raise ValueError unless all ensembles have the same walkers, parameters, names and types of blobs."""
+    """Raise ValueError unless all ensembles have the same shape, parameter names and kind of blobs.
+
+    The shape is the number of walkers and of parameters, and the kind of blobs is their type and shape.
+    """
     first = ensembles[0]
     for k, ensemble in enumerate(ensembles):
         for what, one, other in (
@@ -149,7 +152,7 @@ def _require_steps(backend: Any) -> Any:
 
 
 def _parameter_names(given: Any) -> tuple[str, ...]:
-    """Return a sampler's ``parameter_names`` as a tuple, in the order of the parameters.
+    """Return a sampler's ``parameter_names`` as a tuple, in the order of the parameters; empty if it has none.
 
     A name that covers several parameters is numbered: ``"k[0]"``, ``"k[1]"``.
     """

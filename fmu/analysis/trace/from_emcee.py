@@ -35,7 +35,7 @@ GROUP, BLOBS = "emcee", "blobs"
 _CHECKED = 5
 """Number of draws at which the stored log-probability is compared with the problem's."""
 _SLACK = 1e-6
-"""Largest relative difference (absolute below 1) that rounding on another processor may cause."""
+"""Largest relative difference (absolute for values below 1) that rounding on another processor may cause."""
 
 
 @check_arguments
@@ -53,8 +53,9 @@ def from_emcee(
 ) -> xr.DataTree:
     """Convert plain emcee runs to a trace for `fmu.summary`, `fmu.diagnose` and all other analyses.
 
-    Each ensemble becomes a chain of the trace. With fewer than four ensembles, the verdict depends on
-    autocorrelation times and on how well the walkers mix, and states that separate modes cannot be excluded.
+    Each ensemble becomes a chain of the trace. With fewer than four ensembles, the verdict states that separate
+    modes cannot be excluded. A single ensemble has no R-hat; its verdict depends on autocorrelation times and on
+    how well the walkers mix.
 
     Parameters
     ----------
@@ -100,9 +101,10 @@ def from_emcee(
     FileNotFoundError
         If there is no such file.
     ValueError
-        If no steps are stored, a file cannot be read, ensembles differ in size, too few steps are left, names or
-        blobs cannot be stored, a number is out of range, or the stored log-probabilities are never finite or
-        differ from those of `problem` at five draws.
+        If there is no ensemble, no steps are stored, a file cannot be read, ensembles differ in size, names or
+        blobs, too few steps are left, names do not fit the chain or the problem, names or blobs cannot be stored,
+        a number is out of range, or the stored log-probabilities are never finite or differ from those of
+        `problem` at five draws.
     TypeError
         If `source` is none of the types above.
 
@@ -136,7 +138,7 @@ def from_emcee(
 
 
 class _Unknown:
-    """Placeholder for an unknown density, with nothing but parameter names."""
+    """Placeholder for an unknown density, with parameter names and infinite bounds."""
 
     name = "emcee"
 
@@ -156,9 +158,9 @@ class Kept:
     Attributes
     ----------
     draws, warmup : tuple of ndarray of int, shape (n,)
-        Each ensemble's indices of its stored steps.
+        Each ensemble's indices of its stored steps. Warm-up steps are not thinned.
     discard : tuple of int
-        Number of stored steps before the first draw of each ensemble.
+        Number of stored steps discarded at the beginning of each ensemble.
     thin : int
     """
 
@@ -169,7 +171,7 @@ class Kept:
 
     @classmethod
     def of(cls, ensembles: list[StoredEnsemble], discard: list[int], thin: int) -> Kept:
-        """Choose the last steps of each ensemble, the same number for all; raise ValueError if one has none."""
+        """Choose the last steps of each ensemble, the same number for all. Raise ValueError if one has no step."""
         each = []
         for ensemble, skipped in zip(ensembles, discard, strict=True):
             stored = len(ensemble.chain)
@@ -220,7 +222,7 @@ def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnse
 def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
     """Return the number of steps to discard from each of `n` ensembles.
 
-    Raise ValueError if `discard` does not have one number, or one for each ensemble.
+    Raise ValueError if `discard` is neither one number nor one for each ensemble, or if a number is negative.
     """
     each = list(discard) if isinstance(discard, Sequence | np.ndarray) else [discard] * n
     if len(each) != n:
@@ -280,7 +282,7 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
     """Return the blobs at the draws, keyed by name, each of shape (ensembles, draws, ...).
 
     The dict is empty if none are stored. Raise ValueError if `names` do not fit the blobs or are not valid, or if
-    a blob is not numeric.
+    a blob of Python objects cannot be converted to numbers.
     """
     if ensembles[0].blobs is None:
         if names is not None:
@@ -314,9 +316,10 @@ def _check_log_prob(
 ) -> FloatArray | None:
     """Check the stored log-probability against the problem at five draws, and take its frequencies from the blobs.
 
-    Return the frequencies (chains, draws, n_modes) and remove them from `blobs`, or return None if `blobs` does
-    not contain them. Raise ValueError if a stored log-probability differs from the computed one by more than
-    `precision` and the tolerance of a reduced model, or if none is finite.
+    Return the frequencies (chains, draws, n_modes) and remove them from `blobs`. Return None if `blobs` does not
+    contain them, or if the problem is a plain log-density. Raise ValueError if no stored log-probability is
+    finite, or if one differs from the computed one by more than the relative `precision` plus the tolerance of a
+    reduced model.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()

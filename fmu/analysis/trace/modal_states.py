@@ -77,9 +77,10 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         - If shapes were measured, also ``component`` (state, mode, place), the computed shapes at the sensors, and
           ``measured`` (mode, place).
         - If the geometry is known, also ``displacement`` (state, mode, node, direction), where the largest of each
-          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads; and
-          ``expanded`` (mode, node, direction), the measured shapes in their own scale, expanded by the modes at
-          the posterior mean, unless there are too few sensors.
+          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads; and, if shapes
+          were measured, ``site`` (place, direction), the sensors' positions in m, and ``expanded`` (mode, node,
+          direction), the measured shapes in their own scale, expanded by the modes in the second state (the
+          posterior mean in a trace), unless there are too few sensors.
         - For a structure without geometry, ``component`` is at all translations if there are at most 40, and the
           largest component of each mode is 1.
         - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test; the
@@ -189,11 +190,11 @@ def _without_sign(sensor: Dof) -> Dof:
 def _components(
     structure: SeparableModel, data: ModalData, shapes: FloatArray, size: FloatArray | None = None
 ) -> dict[str, Any]:
-    """Return computed and measured mode shapes as dataset variables, or an empty dict if no place has any.
+    """Return computed and measured mode shapes as dataset variables, or an empty dict if there are no places.
 
-    The places are the sensors or, for a structure without geometry and with at most 40 translations, all
-    translations; measured shapes are NaN where there is no sensor. The computed shapes are divided by `size`
-    (states, n_modes). If it is None, their largest component becomes 1.
+    The places are the sensors, if shapes were measured, or, for a structure without geometry and with at most 40
+    translations, all translations; measured shapes are NaN where there is no sensor. The computed shapes are
+    divided by `size` (states, n_modes). If it is None, their largest component becomes 1.
     """
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}
@@ -238,8 +239,8 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
     """Return, in a dict, the trace group with the sketch of a structure that has several tests.
 
-    The dict is empty if the model has neither geometry nor a picture. The structure is the first test's.
-    `sketch_of` reads the group.
+    The dict is empty if the model has no matrices, or neither geometry nor a picture. The structure is the first
+    test's. `sketch_of` reads the group.
     """
     import xarray as xr
 
@@ -259,7 +260,8 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
     """Return the sketch of the structure, or None if the trace stores none.
 
-    A trace stores none if the model has no geometry, or if an older version of fmu wrote the trace.
+    A trace stores none if the model has neither geometry nor a picture, or if an older version of fmu wrote the
+    trace.
     """
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:

@@ -142,7 +142,7 @@ def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[
 
 
 def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
-    """Return the attributes that do not belong to the file format, with one-element arrays as numbers."""
+    """Return the attributes that do not belong to the file format, with one-element arrays as scalars."""
     return {
         name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()

@@ -82,7 +82,7 @@ def versions() -> dict[str, str]:
 
 
 def _solver(density: LogDensity) -> str:
-    """Return the name of the library that factorises the full model's matrices, or "" if it has none."""
+    """Return the name of the library that factorises the full model's matrices, or "" if no model has matrices."""
     from fmu.fem.pairing.paired_structure import structure_of
 
     structure = structure_of(density.model.parts[0]) if is_updating(density) else None
@@ -94,8 +94,8 @@ def attributes(result: RunResult, density: LogDensity, start: object = None) -> 
 
     ``n_solves`` and ``n_gradients`` count the solves and gradients of the retained draws; ``warmup_n_solves`` and
     ``warmup_n_gradients`` count them for the warm-up. ``wall_s`` is the sampling time in seconds, warm-up
-    included, and ``created_at`` is the UTC time at its end. ``solver`` is the library that factorises the full
-    model's matrices.
+    included, and ``warmup_wall_s`` that of the warm-up. ``created_at`` is the UTC time at which the attributes
+    were made, and ``solver`` the library that factorises the full model's matrices.
     """
     settings = configuration(result, density, start)
     costs = {

@@ -96,7 +96,10 @@ class Readings:
         return 0.5 * found / len(whole)
 
     def weights_of_directions(self, state: State) -> FloatArray:
-        """Return F (n, p, t) such that F Fᵀ = V, the derivative of 2 `value` with respect to A, at each draw."""
+        """Return F (n, p, t) such that F Fᵀ = V, the derivative of 2 `value` with respect to A, at each draw.
+
+        Without a target, V is A⁻¹ and t is p.
+        """
         whole, rest = self._factors(state)
         if rest is None:
             return whole
