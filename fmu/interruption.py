@@ -133,7 +133,10 @@ def shielded() -> Iterator[None]:
 
 @contextmanager
 def _listening() -> Iterator[_Stop | None]:
-    """Install the handlers unless they are already installed, and yield them; yield None in other threads."""
+    """Install the signal handlers for a block, unless an outer block has, and yield their state.
+
+    Yield None outside the main thread.
+    """
     global _current
     if threading.current_thread() is not threading.main_thread():
         yield None

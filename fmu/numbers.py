@@ -151,7 +151,8 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
 def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
     """Format computed frequencies in Hz to 0.1 Hz or finer, with up to six digits if needed to tell them apart.
 
-    If `measured` is given, at least as many decimals are shown as in the measured frequency.
+    Above 100 kHz, six digits are coarser than 0.1 Hz. If `measured` is given, at least as many decimals are shown
+    as in the measured frequency.
     """
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     digits = min(max(4, _exponent(largest) + 2), _FREQUENCY_DIGITS)
@@ -179,7 +180,7 @@ def interval(lower: float, upper: float, places: int) -> str:
 def given(value: float) -> str:
     """Format a value with the digits with which it was entered, such as ``"0.912"``.
 
-    A value with more digits, which must have been computed, gets six.
+    A value with more than ten digits must have been computed, and gets six.
     """
     if not math.isfinite(value):
         return _infinite(value)

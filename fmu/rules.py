@@ -77,7 +77,7 @@ class Rule:
 
 
 def is_kind(value: Any, rule: Rule) -> bool:
-    """Return True if a value has the type of a rule that is not a union; entries are not checked."""
+    """Return True if a value follows a rule that is not a union. The entries of a sequence are not checked."""
     origin = rule.origin
     if origin is Any:
         return True
@@ -96,7 +96,10 @@ def is_kind(value: Any, rule: Rule) -> bool:
 
 
 def _is_in_range(value: float, rule: Rule) -> bool:
-    """Return True if a number is representable as a float, not NaN, and within the limits of the rule."""
+    """Return True if a number is representable as a float, and within the limits of the rule.
+
+    NaN is not in range, and infinity only if the rule has `Unbounded`.
+    """
     try:
         number = float(value)
     except OverflowError:
@@ -110,7 +113,7 @@ def _is_in_range(value: float, rule: Rule) -> bool:
 def _is_numeric(value: object, rule: Rule) -> bool:
     """Return True if NumPy converts a value to an array of numbers within the limits of the rule.
 
-    Text, None and booleans are not accepted as numbers.
+    Text, None and booleans are not accepted as numbers. If the rule has limits, the array must not be empty.
     """
     import numpy as np
 

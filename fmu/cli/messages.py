@@ -84,7 +84,7 @@ class Commands(click.Group):
 
 
 def _of_system(error: OSError) -> str:
-    """Return a sentence about a system error. It names the file and, if the disk is full, gives advice."""
+    """Return a system error's message or, if the disk is full, a sentence with the file's name and advice."""
     where = error.filename or "standard output, or a file of the output directory"
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 @contextmanager
 def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
-    """Create an output directory for a block. Remove it if the block fails before anything is written to it.
+    """Create an output directory for a block. If the block fails, remove it and its new parents if they are empty.
 
     Raise ValueError if the directory cannot be written to, or holds files and `overwrite` is False.
     """
@@ -37,7 +37,7 @@ def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
 
 
 def _is_left_empty(directory: Path) -> bool:
-    """Return True if a directory contains nothing but the files of a run that was killed in its first seconds."""
+    """Return True if a directory contains at most the files of a run that was killed in its first seconds."""
     from fmu.runs.lock import FILE, LOCK, PHASE
 
     if directory.is_symlink() or not directory.is_dir():

@@ -41,7 +41,8 @@ if TYPE_CHECKING:
 
 _FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate", "max_solves"}
-"""Options that may be changed when a run is resumed, because the draws do not depend on them."""
+"""Options that may be changed when a run is resumed. The draws do not depend on them, except that a surrogate
+may learn from more solves."""
 
 ALL = "all"
 """Value of ``--sampler`` for all samplers that ``fmu compare`` runs, and of ``--discrepancy`` for all variants."""
@@ -243,7 +244,10 @@ def _tell_stop(directory: Path, where: str = "") -> int:
 
 
 def _read_order(context: click.Context, case: str | None, pairing: str | None, orders: Orders) -> KeptProblem:
-    """Return a new run's problem and options; raise UsageError or ValueError if options conflict."""
+    """Return a new run's problem and options.
+
+    Raise UsageError or ValueError if there is no such problem, its file is invalid, or options conflict.
+    """
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
@@ -340,7 +344,7 @@ def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> No
 
 @contextmanager
 def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
-    """Yield the progress callback that `progress` selects, None for "none". Note the phases in the directory."""
+    """Yield the progress callback that `progress` selects, or None. Note the phases in the directory."""
     with ExitStack() as stack:
         report: Report | None = None
         if progress == "json":

@@ -57,7 +57,8 @@ def sample_problem(
     """Sample a problem with every requested sampler that has not finished yet, and write each sampler's results.
 
     The maxima are printed as soon as they are found, and a sampler's table and verdict as soon as its draws are
-    complete. Certificates and predictions of left-out modes need further solves and follow later.
+    complete. Certificates and predictions of left-out modes need further solves and follow later. If the draws of
+    a surrogate are made exact, the model's maxima are printed at the end.
 
     Raises
     ------
@@ -129,9 +130,10 @@ def _tell_draws(
     report: Report | None,
     trace: xr.DataTree,
 ) -> None:
-    """Print and write the summary of a sampler's draws; print its verdict and how to continue if a limit ended it.
+    """Print and write the summary of a sampler's draws, and print its verdict.
 
-    The verdict does not yet include a comparison with samplers that have not finished.
+    If a limit ended the sampler, also print how to continue, unless the surrogate must learn from more solves
+    first. The verdict does not yet include a comparison with samplers that have not finished.
     """
     from fmu.analysis.convergence.diagnosis import diagnose_all
     from fmu.analysis.convergence.diagnostics import summary
@@ -183,7 +185,7 @@ def _draw_trace(
     running: RunDirectory,
     **arguments: object,
 ) -> xr.DataTree:
-    """Draw with one sampler, write the trace and return it.
+    """Draw with one sampler, write the trace and the list of failed solves, and return the trace.
 
     If it is stopped or too many solves fail, the error names the sampler. An OSError says how to resume the run.
     """

@@ -104,10 +104,10 @@ def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Save the hash of the solves that a run's surrogate learnt from in the run's options, and return these.
+    """Save the hash of the solves that a run's surrogate learnt from; return the run's options with this hash.
 
-    If a run is resumed with more solves, its surrogate is new. A message is then printed, and all draws from the
-    earlier surrogate are removed.
+    If a run is resumed with more solves, its surrogate is new. A message is then printed, and all saved draws from
+    the earlier surrogate are removed.
     """
     design = problem.model.configuration()["design"]
     is_other = asked.orders.get("design", design) != design
@@ -124,7 +124,10 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact posterior draws by accepting or rejecting surrogate draws. More are drawn if needed.
+    """Return exact posterior draws by accepting or rejecting surrogate draws.
+
+    More surrogate draws are made until the exact draws reach `until_ess`, or a limit ends them; the trace then has
+    the attribute ``limit``.
 
     Parameters
     ----------

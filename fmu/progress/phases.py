@@ -162,7 +162,7 @@ def by_parts[Found](
 ) -> list[Found]:
     """Apply a function to batches of points (n, ...), and return the list of results.
 
-    The work is reported as a phase. The batch size is chosen so that a batch takes some tenths of a second. A
+    The work is reported as a phase. The batch size is adapted so that a batch takes about a tenth of a second. A
     batch has at least `least` and at most `most` rows; the last one may have fewer. If there are no points, the
     function is called once with an empty batch.
     """

@@ -1,7 +1,7 @@
 """Runs on disk. Draws and chain states are saved during a run, so that it can be resumed.
 
-Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status, words and web for
-``fmu watch``.
+Reading order: content (files), store, identity, lock; run_directory and maxima for ``fmu run``; reading, status,
+words and web for ``fmu watch``; predictions for ``fmu predict``.
 """
 
 from __future__ import annotations

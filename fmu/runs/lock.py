@@ -41,7 +41,10 @@ class ProcessInfo:
     birth: str
 
     def is_alive(self) -> bool | None:
-        """Return True if the process exists, False if it has ended, or None if this machine cannot tell."""
+        """Return True if the process exists, and False if it has ended.
+
+        Return None if it runs on another host, or if the system is not POSIX.
+        """
         if self.host != socket.gethostname() or os.name != "posix":
             return None
         try:
@@ -92,7 +95,10 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove this process's notes from a directory. Notes remain only if a process is killed."""
+    """Remove this process's notes from a directory. Errors are ignored.
+
+    Otherwise notes remain only if a process is killed.
+    """
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)

@@ -257,8 +257,8 @@ def of_trace(path: Path) -> Progress:
 
     Raises
     ------
-    OSError, ValueError
-        If the trace is missing or damaged.
+    OSError, ValueError, KeyError
+        If the trace is missing or damaged, or lacks data.
     """
     from fmu.analysis.trace.conversion import load_trace
     from fmu.analysis.trace.reading import parameter_draws, walkers_of

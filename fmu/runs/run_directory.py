@@ -19,8 +19,8 @@ class RunDirectory:
 
     Its folder ``checkpoints`` contains a directory for each sampler (`fmu.runs.store.Store`), the run's problem
     and options, and the maxima that were found. The folder is removed at the end of the run, unless a sampler
-    reached its limit on solves and can be resumed. It is also removed if, before the first draw, the run fails
-    with a ValueError, or with an OSError while the problem is built.
+    reached its limit on solves and can be resumed. As long as no draws are saved, it is also removed if the run
+    fails with a ValueError, or if the problem cannot be built because of an OSError or of conflicting options.
 
     Parameters
     ----------

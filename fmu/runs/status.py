@@ -38,9 +38,9 @@ class SamplerReading:
     together : Progress
         Progress of all groups together.
     groups : tuple of Progress
-        Progress of each group; empty if there is only one group, or if the sampler has finished.
+        Progress of each group; empty if there is only one group, or if the progress was read from a trace.
     verdict : str
-        Verdict on a finished sampler; empty until the whole run has finished.
+        Verdict in ``comparison.csv``; empty until the whole run has finished.
     """
 
     name: str
@@ -162,7 +162,7 @@ class RunReader:
         return found.orders, found.finished
 
     def _read_sampler(self, name: str, directory: Path, state: str, orders: Orders) -> SamplerReading:
-        """Return the progress of a sampler that has not finished."""
+        """Return the progress of a sampler, read from its checkpoint in `directory`."""
         try:
             identity = Identity.read(directory)
         except (DamagedError, OSError) as error:

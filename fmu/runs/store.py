@@ -96,6 +96,8 @@ class Store:
         ------
         ValueError
             If the state belongs to another run, or an earlier version of fmu wrote it.
+        OSError
+            If the failed solves cannot be written to ``failures.csv``.
 
         Warns
         -----
@@ -229,7 +231,7 @@ class _GroupFiles:
         ]
 
     def append(self, configuration: str, pending: PendingGroup) -> Segment:
-        """Write a step file and a state that lists it, and remove older states. Return the step file's entry."""
+        """Write a step file and a state that lists it; return the step file's entry. Only two states are kept."""
         make_directory(self.directory)
         content = packed_steps(pending.steps, pending.failures)
         stats = pending.steps.stats

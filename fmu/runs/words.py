@@ -1,4 +1,4 @@
-"""Describe a run's state as text: in words, as a table of samplers and groups, and how to resume the run."""
+"""Describe a run's state as text: a sentence, a table of samplers and groups, and how to resume the run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LONG_S = 36_000.0  # time in s from which on only hours are given
 
 
 def state_of(reading: RunReading) -> str:
-    """Return a run's state in words, with the process that is running it, if any."""
+    """Return a run's state in words, with the process if it is running, killed or silent."""
     who = reading.at_work
     if who is None or reading.state in (STOPPED, FINISHED):
         return reading.state
@@ -36,7 +36,10 @@ def state_of(reading: RunReading) -> str:
 
 
 def rows(reading: RunReading) -> list[tuple[str, ...]]:
-    """Return the table rows below `HEADER`. Each sampler has one row for all groups, followed by one per group."""
+    """Return the table rows below `HEADER`.
+
+    Each sampler has one row for all groups. If there are several groups, one row for each follows.
+    """
     return [row for sampler in reading.samplers for row in _rows(sampler)]
 
 
