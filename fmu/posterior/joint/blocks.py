@@ -31,11 +31,13 @@ class BlockHessian:
     Attributes
     ----------
     main : ndarray, shape (d, d)
-        Main parameters only.
+        Block of the main parameters.
     cross : ndarray, shape (n_tests, p, d)
-        Scores against main parameters; zero for a score that the test does not have.
+        Mixed derivatives with respect to a score and a main parameter; zero for a score that the test does not
+        have.
     scores : ndarray, shape (n_tests, p, p)
-        Scores only. A score that the test does not have gets a row and column of the identity matrix.
+        Block of each test's scores. A score that the test does not have gets a row and column of the identity
+        matrix.
     """
 
     main: FloatArray
@@ -68,12 +70,15 @@ class BlockHessian:
         return main, reduced[..., -1] - reduced[..., :-1] @ main
 
     def _complement(self, left: FloatArray) -> FloatArray:
-        """Return the Schur complement (d, d), plus a small multiple of the identity so that it is not singular."""
+        """Return the Schur complement (d, d), given `left` = H_zz⁻¹ H_zm of each test.
+
+        A small multiple of the identity is added so that the result is not singular.
+        """
         schur = self.main - np.einsum("tik,til->kl", self.cross, left)
         return schur + 1e-12 * (1.0 + np.trace(self.main)) * np.eye(len(schur))
 
     def score_variances(self) -> FloatArray:
-        """Return each score's variance, shape (n_tests, p), from the diagonal of the inverse Hessian."""
+        """Return each score's variance, shape (n_tests, p): the diagonal entry of the inverse Hessian."""
         inverse = np.linalg.inv(self.scores)
         left = inverse @ self.cross
         schur = self._complement(left)
@@ -87,9 +92,9 @@ class BlockForm:
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem with populations, in the non-centred form (all scores are standard normal).
+        A problem with populations, in the non-centred form.
     columns : ndarray of int, shape (d,)
-        Indices in theta of the main parameters that may move; the others stay fixed.
+        Indices in theta of the main parameters that may move. The other main parameters stay fixed.
     """
 
     def __init__(self, problem: UpdatingProblem, columns: IntArray) -> None:
@@ -98,14 +103,20 @@ class BlockForm:
         self._prior = JointPrior([problem.parameters[k] for k in columns])
 
     def gradient(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log-density at theta (ndim,), and its scaled gradients for main parameters and for scores."""
+        """Return the log-density at theta (ndim,), and its scaled gradient for main parameters and for scores.
+
+        The gradients have the shapes (d,) and (n_tests, p).
+        """
         value, gradient = self.problem.log_prob_and_grad(theta)
         gradient = gradient * self.scaled.scale
         of_scores = np.where(self.scores.scored, gradient[self.scores.columns], 0.0)
         return float(value), gradient[self.columns], of_scores
 
     def hessian(self, theta: FloatArray) -> BlockHessian:
-        """Return the Gauss–Newton Hessian at theta (ndim,), with the Fisher information for inferred error sds."""
+        """Return the Gauss–Newton approximation of the negative Hessian at theta (ndim,), in scaled units.
+
+        Inferred error parameters contribute their Fisher information.
+        """
         problem, layout = self.problem, self.problem.layout
         n, d = len(layout.parameters), len(self.columns)
         n_tests, p = self.scores.scored.shape
@@ -135,7 +146,7 @@ class BlockForm:
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:
-        """Return minus the log-prior's second derivatives, (d, d), plus the Fisher information on error sds."""
+        """Return the scaled −∇² of the log-prior, (d, d), plus the Fisher information on error parameters."""
         problem, scale = self.problem, self.scaled.scale
         found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)
@@ -176,7 +187,7 @@ class BlockForm:
         return theta, hessian
 
     def _move(self, theta: FloatArray, main: FloatArray, scores: FloatArray) -> FloatArray:
-        """Return theta (ndim,) after scaled steps `main` and `scores`, with `main` clipped to the bounds."""
+        """Return theta (ndim,) after the scaled steps `main` and `scores`, clipped to the bounds."""
         found, scored = theta.copy(), self.scores.scored
         found[self.columns] += main * self.scaled.scale[self.columns]
         found[self.scores.columns[scored]] += (scores * self.scaled.scale[self.scores.columns])[scored]

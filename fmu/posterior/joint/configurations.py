@@ -26,12 +26,13 @@ from fmu.types import FloatArray
 def stack_tests(tests: Sequence[Test]) -> ModalData:
     """Return one `ModalData` with the modes of all tests, labelled ``"test: mode"``.
 
-    It has shapes only if all tests have shapes at the same sensors, and their standard deviations only if all
-    tests have them.
+    It has shapes only if all tests have shapes at the same sensors, and shape standard deviations only if all
+    tests have these too. Tests without a mode in use get or lose frequency uncertainty so that they match the
+    others.
 
     Raises
     ------
-    ValueError
+    TestsError
         If only some of the tests with a mode in use have frequency standard deviations or a covariance matrix.
     """
     every = _alike([test.data for test in tests])
@@ -61,9 +62,9 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
 def _alike(every: Sequence[ModalData]) -> list[ModalData]:
     """Return the tests' data, either all with or all without frequency uncertainty, so that they can be stacked.
 
-    Tests without a mode in use, such as those whose modes were picked from FRFs, are made like the others: they
-    lose their uncertainty or get a default one. Raise TestsError if only some of the other tests have
-    uncertainties.
+    Tests without a mode in use, such as those whose modes were picked from FRFs, lose their uncertainty or get a
+    default one to match the other tests. Raise TestsError if only some of the other tests have uncertainties. If
+    no test has a mode in use, this holds for all tests.
     """
     trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
     counted = [t for t, data in enumerate(every) if any(data.use)] or list(range(len(every)))
@@ -88,11 +89,12 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, of_model: int, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return the configurations, each with its trained model, as a list, and the reduced model's tolerance.
+    """Return the configurations as a list, each with its trained model, and the reduced models' tolerance.
 
-    The first `of_model` structural parameters are parameters of the model. Raise TestsError if a test has changes
-    or known values and the model has no matrices, if they do not fit the model, or if tests in one configuration
-    contradict each other.
+    The tolerance is the one of the last configuration, or None if its model is not reduced. The first `of_model`
+    structural parameters are parameters of the model. Raise TestsError if a test has changes or known values and
+    the model has no matrices, if they do not fit the model, or if tests in one configuration contradict each
+    other; raise ValueError as `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])

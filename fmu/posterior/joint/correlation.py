@@ -97,17 +97,18 @@ class Correlation:
         return found
 
     def gradient_of_moments(self, theta: FloatArray, moments: FloatArray) -> FloatArray:
-        """Return the gradient of the scores' expected log-density, summed over tests, in the partial correlations.
+        """Return the gradient of the scores' expected log-density with respect to the partial correlations.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         moments : ndarray, shape (n, n_tests, p, p)
-            Second moments of each test's scores, given the data.
+            Expected second moments of each test's scores.
 
         Returns
         -------
         ndarray, shape (n, p (p - 1) / 2)
+            Gradient of the sum over the tests.
         """
         L, slopes, blocks = self._at(theta)
         by_R = np.zeros_like(L)
@@ -136,7 +137,7 @@ class Correlation:
         return [(here, tests) for here, tests in found if len(here) > 1]
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, list[Any]]:
-        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and the list of `_blocks`.
+        """Return the Cholesky factor at theta (n, n_parameters), its derivatives, and a list of the `_blocks`.
 
         The result for the last correlations is cached.
         """

@@ -59,13 +59,15 @@ def JointProblem(  # capitalised because it constructs a problem
     The problem's modes are the modes of all tests, named ``"test: mode"``. Its parameters are the shared
     parameters and the parameters of each test, group or population (`fmu.posterior.joint.layout`). Every function
     that accepts an `UpdatingProblem` accepts the result. One evaluation computes all tests: tests with the same
-    matrices are solved in one batch with one reduced model.
+    matrices and sensors are solved in one batch with one reduced model.
 
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure without the changes made for any test. A `ModalModel` or a user's function returns every mode
-        that at least one test contains, in the order in which the labels first occur in the tests.
+        The structure without the changes made for any test. A `ModalModel` returns every mode that at least one
+        test contains, in the order in which the labels first occur in the tests; tests with the same sensors must
+        together contain all modes. A user's function returns its modes in the same order, unless the data select
+        them by ``numbers`` or they are paired by MAC.
     tests : sequence of Test
     parameters : sequence of Parameter
         Parameters of the model, in the same order as for a single test.
@@ -88,7 +90,7 @@ def JointProblem(  # capitalised because it constructs a problem
         (`fmu.posterior.joint.correlation`). 1 is a flat prior; larger values favour smaller correlations. By
         default the populations are independent.
     outliers : Outliers, optional
-        Allows tests to be outliers of the populations. The likelihood sums over all possibilities; the trace has
+        Allows tests to be outliers of the populations. The posterior sums over all possibilities; the trace has
         each test's outlier probability. By default no test is an outlier.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Model discrepancy. It is the same in all tests: a mode of the structure, identified by its label, has the
@@ -102,7 +104,7 @@ def JointProblem(  # capitalised because it constructs a problem
     Returns
     -------
     UpdatingProblem
-        Its `tests`, `layout` and `values` relate the inferred parameters to the single tests.
+        Its `tests`, `layout` and `values` relate the inferred parameters to the individual tests.
 
     Raises
     ------
@@ -110,7 +112,8 @@ def JointProblem(  # capitalised because it constructs a problem
         If the tests or another argument are wrong, or contradict each other; the error lists all faults that can
         be found before the models are built.
     ValueError
-        If soft pairing or the modal residual is requested, or as raised by `UpdatingProblem`.
+        If soft pairing or the modal residual is requested, two parameters share a name, a parameter's bounds,
+        start or prior do not allow it to vary as requested, or as raised by `UpdatingProblem`.
     """
     tests = tuple(tests)
     slopes = {key: dict(value) for key, value in (slopes or {}).items()}
@@ -165,18 +168,21 @@ def simulate_next_test(
         A problem with several tests.
     rng : Generator
     theta : ndarray, shape (n, ndim)
-        Posterior draws. For each draw, a parameter with a population gets a new value from that population; the
-        further test is not an outlier.
+        Posterior draws. For each draw, a parameter with a population gets a new value from that population, and a
+        parameter with a separate value in each test gets a draw from its prior. The further test is not an
+        outlier.
     like : str, optional
         Name of the test whose configuration, group, modes and error models the further test has. Default: the
         first test.
     covariates : mapping of str to float, optional
-        Covariates in the further test. A covariate without an entry is set to its mean over the tests.
+        Covariates in the further test. A covariate without an entry is set to its mean over the tests. A covariate
+        that serves as time is set to a time after the last test (`InTime.next_scores`), or to the last test's time
+        for an undated loss.
 
     Returns
     -------
     computed, measured : ndarray, shape (n, n_modes)
-        Frequencies without and with errors, in Hz, for the modes of the test `like`.
+        Frequencies without and with errors, in Hz, for the modes of the test `like`; NaN where the solve failed.
 
     Raises
     ------
@@ -201,7 +207,7 @@ class NextTest(NamedTuple):
     Attributes
     ----------
     scores : ndarray, shape (n, n_populations)
-        Standard normal scores in the populations, in the order of ``layout.drawn``.
+        Standardised values in the populations, in the order of ``layout.drawn``.
     values : ndarray, shape (n, n_structural)
         Structural parameters.
     computed, measured : ndarray, shape (n, n_modes)
@@ -217,7 +223,7 @@ class NextTest(NamedTuple):
 def draw_next_test(
     problem: UpdatingProblem, rng: np.random.Generator, theta: FloatArray, t: int, covariates: Mapping[str, float]
 ) -> NextTest:
-    """Return draws of one further test in the configuration of test number `t`; see `simulate_next_test`."""
+    """Return draws of one further test in the configuration of test `t`, an index; see `simulate_next_test`."""
     structural = theta[:, : problem.n_structural]
     layout = problem.layout
     scores = layout.draw_scores(structural, rng, 1)[:, 0]
@@ -244,9 +250,10 @@ def find_mistakes(
     correlation: float | None = None,
     outliers: Outliers | None = None,
 ) -> list[str]:
-    """Return error messages about contradictions between tests and parameters, each naming the argument.
+    """Return error messages about wrong or contradictory arguments of `JointProblem`.
 
-    The first `of_model` parameters belong to the model. The others are damping parameters.
+    Each message names the argument. The first `of_model` parameters belong to the model, and the others are
+    damping parameters.
     """
     names = [p.name for p in parameters]
     found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []
@@ -296,7 +303,7 @@ def find_mistakes(
 
 
 def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
-    """Return error messages about tests whose mode shapes cannot be compared, each naming the argument."""
+    """Return error messages about tests without mode shapes, or with other sensors than the first test."""
     found = []
     for t, test in enumerate(tests):
         if test.data.shapes is None:

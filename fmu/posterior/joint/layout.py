@@ -32,8 +32,8 @@ class Layout:
     structural : tuple of Parameter
         The structural parameters, as for a single test.
     parameters : tuple of Parameter
-        The inferred parameters: shared parameters, parameters of each test or group, means, standard deviations,
-        losses, slopes and other main parameters; then the scores.
+        The inferred parameters except the parameters of the errors: first the main parameters, such as shared
+        values, values in each test or group, means, standard deviations, losses and slopes; then the scores.
     tests : tuple of Test
     values_of : tuple of InTests
         For each structural parameter, its values in all tests as a function of theta.
@@ -54,8 +54,7 @@ class Layout:
     slopes : dict
         How parameters depend on covariates, in plain Python types.
     by_date : mapping of str to str
-        For each structural parameter with a loss from an unknown date on, the name of the covariate that serves as
-        time. The name is empty if test numbers serve as time.
+        Time covariate of each structural parameter with an undated loss; empty if test numbers serve as time.
     """
 
     structural: tuple[Parameter, ...]
@@ -93,13 +92,13 @@ class Layout:
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether theta simply lists the structural parameters: there is one test, and all of them are updated."""
+        """Whether theta is the list of structural parameters: there is one test and every parameter is updated."""
         return len(self.tests) == 1 and not self.held
 
     def of_model(self, theta: FloatArray) -> FloatArray:
-        """Return the arguments of `ModelInTests` followed by the inferred error sds, at theta (n, ndim).
+        """Return the model's parameters followed by the inferred error parameters, at theta (n, ndim).
 
-        The model's arguments are the structural parameters in all tests, one test after the other
+        The model's parameters are the structural parameters in all tests, one test after the other
         (`fmu.posterior.joint.model_in_tests.ModelInTests`).
         """
         if self.is_identity:
@@ -150,7 +149,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def losses_by_test(self, theta: FloatArray) -> FloatArray:
-        """Return the losses of the parameters in `by_date` (at least one), shape (n, n_tests, n_by_date)."""
+        """Return the losses in each test of the parameters in `by_date`, at least one, (n, n_tests, n_by_date)."""
         of = [
             value_of.losses(theta, 0)
             for parameter, value_of in zip(self.structural, self.values_of, strict=True)
@@ -167,32 +166,32 @@ class Layout:
 
     @cached_property
     def drawn(self) -> list[Drawn]:
-        """Structural parameters that scatter over the tests, without trends, losses and group effects."""
+        """Structural parameters that scatter over the tests, each without its trends, losses and group effects."""
         return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
 
     @property
     def scales(self) -> list[int]:
         """Sorted indices in theta of the parameters of the populations and of the score density.
 
-        They are the populations' centres, widths and correlations, the correlation times and the outlier share.
+        They are the centres, widths (within groups), correlations and correlation times, and the outlier share.
         """
         found = {k for one in self.drawn for k in (one.centre, *one.widths.tolist())}
         return sorted([*found, *(self.density_of_scores.columns if self.density_of_scores else ())])
 
     @property
     def density_of_scores(self) -> Correlation | ContaminatedScores | ScoresInTime | None:
-        """Density of correlated, outlying or time-dependent scores; None if they are independent and normal."""
+        """Score density with correlation or outliers; None if all scores are independent and standard normal."""
         return self.in_time or self.outliers or self.correlation
 
     def precision_of_scores(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the precision matrices of the scores z minus I, shape (n, n_tests, p, p)."""
+        """Return each test's score precision minus I, given the other tests' scores, shape (n, n_tests, p, p)."""
         if self.outliers is not None:
             return self.outliers.precision(theta, z)
         known = self.in_time or self.correlation
         return np.zeros((*z.shape, z.shape[2])) if known is None else known.precision(theta)
 
     def remove_centring(self) -> Layout:
-        """Return a copy of the layout in the non-centred form, in which all scores are standard normal."""
+        """Return a copy of the layout in the non-centred form, in which every score is a standardised value."""
         references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
 
@@ -252,7 +251,7 @@ class Layout:
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
-        """Draw scores as if they were independent in time, shape (n, n_tests, n_populations)."""
+        """Draw standardised scores of regular tests, (n, n_tests, n_populations), as if independent in time."""
         return self.correlate(theta, rng.standard_normal((len(theta), n_tests, len(self.drawn))))
 
     def correlate(self, theta: FloatArray, z: FloatArray) -> FloatArray:
@@ -283,7 +282,7 @@ class Layout:
         rows = np.arange(slopes.shape[1])
         for j, value_of in enumerate(self.values_of):
             for columns, values in value_of(theta)[1]:
-                # no parameter occurs twice in a row, so += adds every term
+                # each quantity has one column here, so += adds every term
                 found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test]
         return found
 
@@ -295,7 +294,7 @@ class Layout:
         theta : ndarray, shape (n, ndim)
         slopes : ndarray, shape (n, m, n_structural + n_noise)
             Derivatives of each term with respect to the structural parameters in its test, followed by the
-            derivatives with respect to the inferred error sds.
+            derivatives with respect to the inferred error parameters.
         test : ndarray of int, shape (m,)
             For each term, the index of its test.
         """
@@ -330,7 +329,7 @@ class Layout:
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Change a gradient for independent parameters, (n, ndim), to the gradient of `log_prior`; return it."""
+        """Return the gradient of `log_prior`, (n, ndim). `independent`, the independent one, is overwritten."""
         gradient = independent
         for one in self._centred:
             by_score, by_centre, by_width = one.log_prior(theta)[1]
@@ -351,9 +350,10 @@ class Layout:
         return gradient
 
     def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
-        """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`.
+        """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`. Entries for scores are approximate.
 
-        `independent`, −∇² of the log-density for independent parameters in the same units, is overwritten.
+        They ignore the bounds, and mixed entries with the populations' parameters are left out. `independent`, −∇²
+        of the log-density for independent parameters in the same units, is overwritten.
         """
         curvature = independent
         for one in self._centred:
@@ -383,14 +383,14 @@ class Layout:
         return self.restore_scores(theta)
 
     def standardise_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) with all scores converted to the non-centred form (standard normal)."""
+        """Return a copy of theta (n, ndim) in which all scores are converted to the non-centred form."""
         found = theta.copy()
         for one in self.drawn:
             found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
         return found
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return theta (n, ndim) with its standard normal scores converted to this layout's centring."""
+        """Return theta (n, ndim) with scores converted from the non-centred form to this layout's centring."""
         for one in self._centred:
             theta = one.restore_scores(theta)
         return theta

@@ -19,7 +19,7 @@ from fmu.types import Plain
 
 
 class TestsError(ValueError):
-    """Error in the tests, or in the parameters that vary between the tests.
+    """Error in the arguments of a joint problem: in its tests, or in arguments that must agree with them.
 
     Attributes
     ----------

@@ -31,7 +31,8 @@ class Configuration:
     distinct : ndarray of int, shape (n_distinct,)
         Indices of the tests that are solved. Every other test always has the same parameters as one of them.
     parameters : ndarray of int, shape (p,)
-        Indices of the structural parameters that the model takes. The remaining structural parameters are known.
+        Indices of the structural parameters that are parameters of `model`. The others are known in these tests,
+        or are damping parameters.
     columns : ndarray of int, shape (m,)
         Indices of these tests' measured modes among the modes of all tests.
     test, row, mode : ndarray of int, shape (m,)
@@ -131,12 +132,12 @@ class ModelInTests(ModalModel):
 
     @property
     def full_solves(self) -> int:  # type: ignore[override]
-        """Number of points at which a full model was solved although a reduced model exists."""
+        """Number of solves of full models so far in the configurations whose model is reduced."""
         return sum(model.full_solves for model in self.parts)
 
     @property
     def sizes(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Number of unknowns in each reduced block."""
+        """Number of unknowns in each block of each configuration's reduced model; empty if none is reduced."""
         return tuple(size for model in self.parts for size in model.sizes)
 
     @property
@@ -150,7 +151,11 @@ class ModelInTests(ModalModel):
         return tuple(dict.fromkeys(function for model in self.parts for function in model.functions))
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the time in s that users' functions take at theta (n_parameters,), or None if there are none."""
+        """Return the time in s that all calls of users' functions take at theta (n_parameters,).
+
+        Return None if no functions are called. In each configuration, the first solved test is timed and stands
+        for the others. The function is called there unless its solve is known.
+        """
         found = []
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
@@ -178,9 +183,10 @@ class ModelInTests(ModalModel):
         return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield name, model and model parameters of each solved test without frequencies at theta (n_parameters,).
+        """Yield the name, model and model parameters of each solved test in which a frequency is not finite.
 
-        If the model is a user's function, every solved test is yielded, because the function is not called again.
+        `theta` has the shape (n_parameters,). If the model is a user's function, every solved test is yielded,
+        because the function is not called again.
         """
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
@@ -208,7 +214,10 @@ class ModelInTests(ModalModel):
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return one test's frequencies in Hz for its measured modes, at parameter `values` (n, n_structural)."""
+        """Return the frequencies of the modes measured in one test, in Hz, shape (n, n_here).
+
+        `values`, (n, n_structural), are the structural parameters in this test.
+        """
         part = next(one for one in self.configurations if test in one.tests)
         modes = part.mode[part.tests[part.test] == test]
         return part.model.frequencies(values[:, part.parameters])[:, modes]

@@ -175,7 +175,10 @@ class ContaminatedScores:
         return value, by_score, np.concatenate([np.zeros((len(theta), 0)), *by_columns], axis=1)
 
     def precision(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the score precision minus I, averaged over the kinds (regular or outlier), (n, n_tests, p, p)."""
+        """Return the scores' precision matrices minus I, (n, n_tests, p, p), averaged over the kinds of tests.
+
+        The kinds (regular, and each kind of outlier) are weighted by their probabilities given z.
+        """
         share_of = self.probabilities(theta, z)
         every = [self.precision_of(theta, scales[None]) for scales in self.scales]
         eye = np.eye(z.shape[2])
@@ -210,7 +213,7 @@ class ContaminatedScores:
         return self._outlying(share_of), np.einsum("nct,ctp->ntp", share_of, (self.scales > 1.0).astype(float))
 
     def draw_from_prior(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
-        """Draw the score scales D, shape (n, n_tests, p), from their prior."""
+        """Draw the score scales D, shape (n, n_tests, p), from their prior, given the outlier share at theta."""
         return self._draw(rng, self._log_weights(theta))
 
     def draw_scales(self, rng: np.random.Generator, theta: FloatArray, z: FloatArray) -> FloatArray:

@@ -51,7 +51,7 @@ class Errors(NamedTuple):
         return {i: one for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)}
 
     def damping_parameters(self) -> list[Parameter]:
-        """Return the damping parameters of all tests, each listed once."""
+        """Return the inferred damping parameters of all tests, each listed once."""
         found: list[Parameter] = []
         for one in self.of_frfs.values():
             found += [p for p in inferred_in(one.damping) if p not in found]
@@ -94,7 +94,8 @@ class StructureInTest(NamedTuple):
     ----------
     structure : SeparableModel
     parameters : list of Parameter
-        The structure's p parameters, bounded by the values that they can take in the test.
+        The structure's p parameters. Their bounds are finite and include nearly all values in the test
+        (`Layout.box`).
     test : int
         Index of the test.
     numbers : ndarray of int, shape (p,)

@@ -55,10 +55,10 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
 
 
 def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
-    """Return −∇² log P at a typical point u (ndim,), shape (ndim, ndim), in scaled coordinates.
+    """Return an approximation of −∇² log P at a point u (ndim,) in scaled coordinates, shape (ndim, ndim).
 
-    It is the Gauss–Newton Hessian, but rows and columns for the parameters of the populations and of the score
-    density (`Layout.scales`) are finite differences of the gradient.
+    It is the Gauss–Newton Hessian, except that rows and columns for the parameters of the populations and of the
+    score density (`Layout.scales`) are finite differences of the gradient.
     """
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]
@@ -144,9 +144,10 @@ def _weights(layout: Layout, theta: FloatArray) -> FloatArray:
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
-    """Set the populations' correlations in `theta` from the scores' second moments. These include `variance`.
+    """Set the populations' correlations in `theta` to the most probable ones, given the scores' second moments.
 
-    Only tests with a score in every population are used. With fewer than two of them, `theta` is not changed.
+    The moments include the scores' variances, which are in `variance` (ndim,). Only tests with a score in every
+    population are used. If there are fewer than two of them, `theta` is not changed.
     """
     correlation: Any = layout.correlation
     found = [one.population_scores(theta[None]) for one in layout.drawn]
@@ -163,10 +164,10 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 def _most_probable(
     problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray, of_tests: FloatArray
 ) -> float:
-    """Set a population's centre and widths in `theta` from its values, and its scores so that the values stay.
+    """Set a population's centre and widths in `theta` to the most probable ones, given the values in the tests.
 
-    Return the largest change of the centre or a width, relative to the width. `of_tests`, shape (n_tests,),
-    weights the tests.
+    The scores in `theta` are changed so that the values stay the same. `of_tests`, shape (n_tests,), weights the
+    tests. Return the largest change of the centre or a width, relative to the new width.
     """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]

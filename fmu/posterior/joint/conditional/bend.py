@@ -1,9 +1,9 @@
 """Model the curved ridges in a test's score density.
 
 They occur if precise data leave some combinations of scores undetermined. Along an undetermined combination, the
-other combinations follow a curve, which is a parabola to second order. Let the coordinates y have unit variances
-in the normal approximation, sorted by decreasing score variance. The density is close to a normal distribution for
-y, with
+other combinations follow a curve, which is a parabola to second order. Let y be coordinates with unit variances in
+the normal approximation, in the order of decreasing score variance. The density is close to a normal distribution
+for y, with
 
 x_j = y_j + Σ_(i,k<j) Q_jik y_i y_k,
 

@@ -50,13 +50,13 @@ class Conditionals(NamedTuple):
     normal : FittedNormal
         The normal distribution closest to `marginal`.
     noise : ndarray, shape (n_noise,)
-        Relative posterior standard deviations of the inferred error sds, at most one.
+        Relative posterior standard deviations of the inferred error parameters, at most one.
     by_errors : ndarray, shape (d, n_errors)
         Changes of the main parameters that make up for model errors of unit size, at fixed scores.
     sizes : ndarray, shape (n_errors,)
         Standard deviations of the model errors at the typical point.
     noise_prior : JointPrior
-        Prior of the error sds.
+        Prior of the error parameters.
     populations : PopulationsGivenValues
     walks : WalksGivenValues, optional
         Steps for all populations, if the candidates of `populations` are missing or rarely accepted for some.

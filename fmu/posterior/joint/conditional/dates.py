@@ -32,7 +32,7 @@ from fmu.types import FloatArray, IntArray
 _CELLS = 4
 """Number of intervals into which the ramp before a test is divided."""
 _SD = 0.3
-"""Standard deviation of the losses where the tests say nothing, as in the default prior."""
+"""Standard deviation of the losses where the data have no information, as in the default prior."""
 
 
 class _GivenDate(NamedTuple):

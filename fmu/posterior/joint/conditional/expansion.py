@@ -16,7 +16,7 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray, IntArray
 
 OfTests = ModalLikelihood | FRFLikelihood
-"""The likelihoods of several tests."""
+"""The kinds of likelihood that a problem with several tests can have."""
 
 
 def likelihood_of_tests(problem: UpdatingProblem) -> OfTests:
@@ -38,13 +38,14 @@ class Expansion(NamedTuple):
     information : ndarray, shape (1, n_tests, P, P)
         Gauss–Newton approximation of the negative second derivatives.
     noise : ndarray, shape (1, n_noise)
-        Inferred error sds at the expansion point.
+        Inferred error parameters at the expansion point.
     spreads : tuple of Spread
-        Error variances of the measured modes.
+        For each error model, the error variances of the measured modes.
     test_of_modes : ndarray of int, shape (n_modes,)
         Index of the test that measured each mode.
     errors : ExpandedErrors, optional
-        The model errors, if they are parameters. `slope` and `information` then include only the other data.
+        The residuals as a function of the model errors, if these are parameters. `slope` and `information` then
+        leave out the data with model errors; `given_errors` adds them.
     """
 
     values: FloatArray
@@ -66,11 +67,12 @@ class Expansion(NamedTuple):
         return self._replace(slope=self.slope + slope, information=self.information + information)
 
     def weigh(self, noise: FloatArray) -> FloatArray:
-        """Return factors, (n, n_tests, 1), that adapt slope and information to the error sds `noise` (n, n_noise).
+        """Return factors, (n, n_tests, 1), that adapt slope and information to the error parameters `noise`.
 
-        A test's factor is the ratio of the error variance at the expansion point to the current error variance,
-        averaged over the test's errors. It is exact if all errors in the test have the same standard deviation. It
-        is 1 for a test without modes and, with shape (1, 1, 1), if no error sd is inferred.
+        A test's factor is the ratio of the error variance at the expansion point to the variance for `noise`, (n,
+        n_noise), averaged over the test's errors in modes. It is exact if all errors in the test have the same
+        standard deviation. It is 1 for a test without modes and, with shape (1, 1, 1), if no error parameter is
+        inferred.
         """
         if not noise.shape[1]:
             return np.ones((1, 1, 1))

@@ -177,8 +177,9 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 def _blocks(layout: Layout) -> list[list[Drawn]]:
     """Return the populations for which candidates can be drawn, in blocks of equal size.
 
-    A suitable population has one standard deviation, values that are independent in time, enough scores, and no
-    outlying tests. Correlated populations also need scores in all tests, and enough tests for their number.
+    A suitable population has one standard deviation, values that are independent in time, and enough scores.
+    Correlated populations also need scores in all tests, and enough tests for their number. If tests may be
+    outliers, no population is suitable.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
     if layout.outliers is not None:

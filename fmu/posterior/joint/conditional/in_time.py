@@ -1,8 +1,8 @@
 """Metropolis steps for populations and correlation times, given parameter values that are correlated in time.
 
 A population has the centre μ, the standard deviation s and the correlation time T. Given the values x_t in the
-tests (their logarithms in log-normal populations), the likelihood has no further information on them. With the
-precision matrix Q of the scores, and if the values are not bounded,
+tests (their logarithms in log-normal populations), the likelihood has no further information on μ, s and T. With
+the precision matrix Q of the scores, and if the values are not bounded,
 
     p(x | μ, s, T) = |Q|^½ s^(−m) exp(−½ (x − μ)ᵀ Q (x − μ) / s²) / (2π)^(m/2).
 

@@ -29,7 +29,7 @@ _LEAST, _MOST = 1e-3, 1e3
 
 
 class MarginalOfMain:
-    """Approximate density of the main parameters with the scores integrated out, at given error sds.
+    """Approximate density of the main parameters with the scores integrated out, at given error parameters.
 
     The density is expressed in coordinates w. A population's standard deviation s has w = arsinh(s/c), where c is
     the typical standard deviation of a parameter value given only its own test's data. A partial correlation ρ has
@@ -46,8 +46,8 @@ class MarginalOfMain:
     Attributes
     ----------
     columns : ndarray of int, shape (d,)
-        Indices of the main parameters in theta, without the outlier share, correlation times and dates of sudden
-        losses.
+        Indices in theta of the main parameters without the error parameters, the outlier share, correlation times
+        and dates of sudden losses.
     lower, upper : ndarray, shape (d,)
         Bounds of w.
     """
@@ -110,14 +110,14 @@ class MarginalOfMain:
     ) -> tuple[FloatArray, FloatArray, Linear]:
         """Return the log-density (n,) at w, its gradient (n, d), and the linearised score densities.
 
-        The gradient is exact if neither the bounds nor the curvature of the values in the scores have an
-        influence.
+        The log-density is normalised only up to a constant. The gradient is exact if neither the bounds nor the
+        curvature of the values in the scores have an influence.
 
         Parameters
         ----------
         w : ndarray, shape (n, d)
         theta : ndarray, shape (n, ndim)
-            Supplies the inferred error sds, and the main parameters that w does not contain.
+            Supplies the inferred error parameters, and the main parameters that w does not contain.
         scales : ndarray, shape (n, n_tests, p), optional
             Prior standard deviations of the scores (`Linear`).
         """

@@ -51,7 +51,7 @@ class Scattering(NamedTuple):
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
     def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the scores (n, n_tests) of `values` (n_tests,), which are first clipped to the bounds."""
+        """Return the scores (n, n_tests) that give `values` (n_tests,), or the nearest ones inside the bounds."""
         low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
         base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
@@ -119,7 +119,8 @@ class Linear(NamedTuple):
     step : ndarray, shape (n, n_tests, p)
         The most probable scores minus `z`.
     largest : ndarray, shape (n, n_tests)
-        Log-likelihood − ½ zᵀ P z at the most probable scores, where P is `of_prior`.
+        Log-likelihood − ½ zᵀ P z at the most probable scores, where P is `of_prior`. The log-likelihood is
+        relative to the expansion point.
     pull : ndarray, shape (n, n_tests, n_structural)
         Log-likelihood gradients with respect to the parameter values, at the centre.
     information : ndarray, shape (n, n_tests, n_structural, n_structural) or (1, …)
@@ -190,7 +191,7 @@ class Normal(NamedTuple):
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
     def standardise(self, z: FloatArray) -> FloatArray:
-        """Transform scores z to independent standard normal numbers, shape (n, n_tests, p)."""
+        """Transform scores z to standardised straightened scores, both of shape (n, n_tests, p)."""
         return np.einsum("ntji,ntj->nti", self.factor, self.straighten(z) - self.mean)
 
     def restore(self, u: FloatArray) -> FloatArray:
@@ -217,9 +218,10 @@ class Normal(NamedTuple):
         return _log_det(self.factor)
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
-        """Return the log-density of each test's straightened scores z, shape (n, n_tests), up to a constant.
+        """Return the log-density of each test's straightened scores z, shape (n, n_tests).
 
-        If `nu` is finite, use Student's t with nu degrees of freedom and the same mean and factor.
+        `log_det_factor` and a constant are left out. If `nu` is finite, use Student's t with nu degrees of freedom
+        and the same mean and factor.
         """
         turned = np.einsum("ntji,ntj->nti", self.factor, z - self.mean)
         square = np.einsum("nti,nti->nt", turned, turned)
@@ -300,7 +302,7 @@ class ScoresGivenMain:
         )
 
     def _precision_of_prior(self, of: FloatArray, scales: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """Return `Linear.of_prior`, which has the given `shape`; `of` is theta without the error sds."""
+        """Return `Linear.of_prior`, with the given `shape`; `of` is theta without the error parameters."""
         found = np.broadcast_to(np.eye(shape[-1]), shape)
         if self.layout.correlation is not None:
             found = found + self.layout.correlation.precision(of)
@@ -309,7 +311,7 @@ class ScoresGivenMain:
     def approximate_here(
         self, theta: FloatArray, r: FloatArray, J: FloatArray, test: IntArray, scales: FloatArray = REGULAR
     ) -> Normal:
-        """Return the normal approximations with the gradients of the densities at the scores of theta, (n, ndim).
+        """Return normal approximations of the score densities that have the same gradients at the scores in theta.
 
         The mean is where a Gauss–Newton step from these scores leads. In a test whose solve failed, the
         approximation is a standard normal distribution about the scores.
@@ -355,7 +357,10 @@ class ScoresGivenMain:
         return linear.pull - linear.weight * np.einsum("ntij,ntj->nti", of_scores, linear.slopes * linear.step)
 
     def information_on_values(self, linear: Linear) -> FloatArray:
-        """Return minus the second derivatives of `log_evidence` with respect to values, (n, n_tests, P, P)."""
+        """Return minus the second derivatives of `log_evidence` with respect to values, (n, n_tests, P, P).
+
+        As in `pull_of_values`, the derivatives of values with respect to scores are treated as constant.
+        """
         cross = linear.information[..., self.scores.parameters] * linear.slopes[..., None, :]
         cross = linear.weight[..., None] * cross
         explained = cross @ linear.inverse @ np.swapaxes(cross, 2, 3)

@@ -29,5 +29,5 @@ class Unknown(Varies):
 
 
 def way_of(how: str | Variation) -> Varies:
-    """Return the kind of variation with this name, or the object itself. An unknown name gives an `Unknown`."""
+    """Return `how` itself, or the kind of variation if `how` is its name; an unknown name gives an `Unknown`."""
     return VARIES.get(how, Unknown(how)) if isinstance(how, str) else how

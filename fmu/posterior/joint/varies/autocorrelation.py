@@ -28,7 +28,7 @@ from fmu.posterior.priors.one_sided import LogNormal
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _SHORT = 3.0
-"""The default prior has 5 % below the usual time between tests divided by this: a correlation of 0.05."""
+"""Ratio of the median time between tests to the 5 % quantile of the default prior: a correlation of 0.05."""
 _LEAST = 1e-3
 """Smallest T, relative to the shortest time between tests: the correlation is exp(−1000)."""
 _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
@@ -283,7 +283,10 @@ class ScoresInTime:
         return value, by_score, np.stack(by_columns, axis=1) if by_columns else np.zeros((len(z), 0))
 
     def precision(self, theta: FloatArray) -> FloatArray:
-        """Return each score's precision given all others, minus I, as matrices of shape (n, n_tests, p, p)."""
+        """Return each score's precision given all other scores, minus 1.
+
+        The result consists of diagonal matrices, shape (n, n_tests, p, p).
+        """
         found = np.zeros((len(theta), self.n_tests, len(self.every), len(self.every)))
         for k, one in self._each:
             found[:, one.order, k, k] = one.precision(theta)[0] - 1.0

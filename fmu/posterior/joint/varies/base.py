@@ -33,10 +33,11 @@ class Role(NamedTuple):
         since an event; ``"correlation time"``: a population's correlation time; ``"date"``: the date of an event;
         ``"slope"`` or ``"kink"``: the slope with a covariate, or the covariate value where it changes;
         ``"covariate"``: the value of a covariate in a test; ``"correlation"``: a partial correlation between two
-        populations; ``"share"``: the probability that a test is an outlier; ``"noise"``: an inferred error sd.
+        populations; ``"share"``: the probability that a test is an outlier; ``"noise"``: an inferred parameter of
+        the errors, such as a standard deviation.
     of : int or None
         Index of the structural parameter in ``layout.structural``; None for correlations, covariates, dates,
-        the outlier share and error sds.
+        the outlier share and the parameters of the errors.
     where : str
         Name of the test, group, covariate (for a correlation time, the time covariate) or event that the role
         refers to; otherwise empty.
@@ -48,7 +49,7 @@ class Role(NamedTuple):
 
 
 class Slope(NamedTuple):
-    """Derivatives of the values in the tests, each with respect to one parameter of theta.
+    """Derivatives of the values in the tests, the value in each test with respect to one parameter of theta.
 
     Attributes
     ----------
@@ -216,7 +217,7 @@ class Future(NamedTuple):
     ----------
     rng : Generator
     scores : mapping of int to ndarray, shape (n,)
-        Standard normal scores in each population, keyed by the index of the population's centre in theta.
+        Standardised values in each population, keyed by the index of the population's centre in theta.
     covariates : mapping of str to float
         Values of the covariates. A covariate without an entry is set to its mean over the tests.
     """
@@ -304,7 +305,7 @@ class Varies:
 
     @property
     def by_date(self) -> str | None:
-        """Time covariate of an undated loss: empty if test numbers serve as time, None without such a loss."""
+        """Time covariate of an undated loss, empty if test numbers serve as time; None without such a loss."""
         return None
 
     @property

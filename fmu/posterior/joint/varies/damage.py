@@ -59,7 +59,10 @@ class Damage(Varies):
         return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
-        """Add the undamaged value and one loss per other group to theta; return the values in the tests."""
+        """Add the undamaged value and one loss per other group to theta; return the values in the tests.
+
+        Raise ValueError as `Population.parameters` does.
+        """
         groups = [test.group for test in theta.tests]
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, "group", theta.reference)
         states = dict.fromkeys(group for group in groups if group != theta.reference)

@@ -1,14 +1,14 @@
 """A parameter that scatters over the tests, expressed by scores in centred or non-centred form.
 
 The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the test's score and Φ the standard normal distribution
-function. F is the distribution function of a normal distribution truncated to the parameter's bounds. If F is the
-population's own distribution, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This
-is the non-centred form of a hierarchical model. It is easy to sample if a test says little about its own value. If
-F is fixed, the scores are the values themselves in other units. This is the centred form. It is easy to sample if
-a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean w μ₀ +
-(1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical Science*
-22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of the
-values.
+function. F is the distribution function of a normal distribution truncated to the parameter's bounds; in
+log-normal populations, all this applies to log θ_t. If F is the population's own distribution, N(μ, σ²), the
+scores are a priori standard normal and independent of μ and σ. This is the non-centred form of a hierarchical
+model. It is easy to sample if a test says little about its own value. If F is fixed, the scores are the values
+themselves in other units. This is the centred form. It is easy to sample if a test determines its own value well.
+A weight w per test interpolates between the two forms: F has the mean w μ₀ + (1 − w) μ and the standard deviation
+σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman
+2020, *ICML*, PMLR 119). The weights do not change the posterior of the values.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ class Drawn(InTests):
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the log-ratio of the scores' density to the standard normal, (n, n_tests), and its derivatives.
 
-        It is zero where the centring is zero, because the scores are then standard normal.
+        It is zero where the centring is zero, because the scores are then standard normal, and where there is no
+        score.
         """
         found: tuple[FloatArray, list[Slope]] = self.last.remember("log ratio", theta, self._log_ratio)
         return found
@@ -106,9 +107,9 @@ class Drawn(InTests):
         return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
-        """Add the negative second derivatives between adjacent scores in time, scaled, to `curvature` in place.
+        """Add the mixed entries of −∇² log p for successive scores in time, in units of `scale`, to `curvature`.
 
-        Nothing is added if the scores are not correlated in time.
+        `curvature` (n, ndim, ndim) is changed in place. Nothing is added if the scores are not correlated in time.
         """
         if self.in_time is None:
             return

@@ -124,7 +124,7 @@ class Polynomial(Law):
 
 @dataclass(frozen=True)
 class PolynomialEffect(Effect):
-    """Effect of a polynomial, whose coefficients are in the `columns` of theta."""
+    """Effect of a polynomial. `columns` are the indices in theta of its coefficients."""
 
     columns: tuple[int, ...]
 
@@ -146,8 +146,8 @@ class PiecewiseLinear(Law):
     """A piecewise linear law, such as a stiffness that changes faster with temperature below the freezing point.
 
     g(x) = Σ b_i (clip(x, c_i, c_{i+1}) − clip(x₀, c_i, c_{i+1})), where piece i with the slope b_i lies between
-    the kinks c_i and c_{i+1} (Peeters & De Roeck 2001, *Earthq. Eng. Struct. Dyn.* 30, 149–171, find two such
-    pieces at the Z24 bridge).
+    the kinks c_i and c_{i+1}, and the first and last piece have no outer limit (Peeters & De Roeck 2001, *Earthq.
+    Eng. Struct. Dyn.* 30, 149–171, find two such pieces at the Z24 bridge).
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class PiecewiseLinear(Law):
     kinks : sequence of float or Prior
         The covariate values at the kinks, in ascending order. If a prior is given instead, there is one kink, and
         its position is inferred between the smallest and the largest covariate value in the tests. The log-density
-        is then continuous, but has kinks where this position passes a test's covariate value.
+        is then continuous, but its gradient jumps where this position passes a test's covariate value.
 
     Raises
     ------
@@ -217,7 +217,11 @@ class PiecewiseLinear(Law):
 
 @dataclass(frozen=True)
 class PiecewiseEffect(Effect):
-    """Piecewise linear effect. `columns` are the slopes of the pieces, followed by the kink if `kinks` is None."""
+    """Effect of a piecewise linear law.
+
+    The `columns` are the indices in theta of the pieces' slopes, followed by the index of the kink if `kinks` is
+    None.
+    """
 
     columns: tuple[int, ...]
     kinks: tuple[float, ...] | None

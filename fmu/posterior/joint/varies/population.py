@@ -131,13 +131,13 @@ class Population(Varies):
         return Drawn(family, centre, widths, columns, scored, np.zeros(n), start, in_time)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
-        """Return the population's two inferred parameters: its centre and its width.
+        """Return the population's inferred centre and width as parameters of theta.
 
         Raises
         ------
         ValueError
-            If the distribution is log-normal and the parameter may be zero or negative, or if `sd` is not given
-            and the parameter starts at zero, so that the default prior would have scale zero.
+            If the distribution is log-normal and the parameter may be zero or negative, or if it is normal, `sd`
+            is not given and the parameter starts at zero, so that the default prior would have scale zero.
         """
         if self.of_logarithm and of.lowest <= 0.0:
             raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")

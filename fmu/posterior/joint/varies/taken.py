@@ -89,11 +89,11 @@ class Shared(Varies):
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:
-        """Return the parameter if each test draws its own value from its prior, or None if tests share values."""
+        """Return the parameter if each test has its own value of it, or None if tests share values."""
         return None
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Taken:
-        """Add one parameter to theta per test or group with its own value; return the values in the tests."""
+        """Add the parameter to theta, once or for each test or group; return the values in the tests."""
         places = [self.place_of(test) for test in theta.tests]
         number = {
             place: theta.add(replace(p, name=f"{p.name} [{place}]") if place else p, self.kind, of, place)

@@ -119,7 +119,8 @@ class UndatedDamage(Varies):
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
         """Add the undamaged value, the loss and the date to theta; return the values in the tests.
 
-        Raise ValueError if another parameter with the same event has another date prior or another growth.
+        Raise ValueError if another parameter with the same event has another date prior or another growth, or as
+        `Population.parameters` does.
         """
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, SHARED)
         loss = theta.add(loss_parameter(f"{p.name} loss", self.prior), "loss", of, self.event)
