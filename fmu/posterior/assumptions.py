@@ -15,7 +15,7 @@ from fmu.posterior.prior_doubts import outside_bounds
 from fmu.types import FloatArray
 
 Inferred = Mapping[str, tuple[float, float]]
-"""Posterior mean and standard deviation of each inferred error sd, keyed by parameter name."""
+"""Posterior mean and standard deviation of each inferred error parameter, keyed by its name."""
 
 
 class Assumptions(NamedTuple):
@@ -24,12 +24,12 @@ class Assumptions(NamedTuple):
     Attributes
     ----------
     sentences : tuple of str
-        Sentences on the error models, the priors, the pairing and the reduced model.
+        Sentences on the error models, the priors, the tests, the pairing and the reduced model.
     errors : tuple of tuple of str
         For each measured mode, its label, its frequency in Hz, and its error sd in Hz and in per cent; empty if
         there are no frequency errors.
     has_inferred : bool
-        Whether error sds are inferred.
+        Whether parameters of the errors, such as standard deviations, are inferred.
     """
 
     sentences: tuple[str, ...]
@@ -57,7 +57,7 @@ def assumptions(
     reduction : float or None
         Relative frequency error allowed in the reduced model; None if there is no reduced model.
     inferred : mapping of str to (float, float), optional
-        Posterior mean and standard deviation of each inferred error sd, after a run.
+        Posterior mean and standard deviation of each inferred error parameter, after a run.
     error : float, optional
         Largest relative frequency error found by a run's certificate.
     elsewhere : float, optional
@@ -119,7 +119,7 @@ _OF = {
 
 
 def _between_tests(problem: Mapping[str, Any]) -> list[str]:
-    """Return the sentences that say how parameters differ between several tests of one structure."""
+    """Return the sentences that say how parameters differ between tests; empty if there is only one test."""
     if "tests" not in problem:
         return []
     said = ["A parameter has one value in all tests, unless it is named for one of them or for a group."]
@@ -185,7 +185,7 @@ def _errors(
 
 
 def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
-    """Return known sds as text, in per cent for relative and in Hz for absolute frequency errors."""
+    """Return known sds as text: in per cent for relative, in Hz for absolute frequency errors, else as numbers."""
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
@@ -280,7 +280,7 @@ def _pairing(problem: Mapping[str, Any]) -> str:
 
 
 def _range(values: FloatArray) -> str:
-    """Return the range of values as text: one number if all are equal, `MISSING` if one is not positive."""
+    """Return the range of values as text: one number if all are equal, else `MISSING` if one is not positive."""
     values = np.asarray(values, dtype=float)
     low, high = float(values.min()), float(values.max())
     if high - low <= 1e-9 * high:

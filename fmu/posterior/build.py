@@ -42,7 +42,7 @@ def check_names(parameters: Sequence[Parameter]) -> None:
 
 
 def check_held(layout: Layout, model: ModalModel) -> None:
-    """Raise ValueError if no parameter is updated, or if a parameter is fixed in a model without matrices."""
+    """Raise ValueError if no parameter is updated, or if a model without matrices has one that is not updated."""
     if layout.held and not layout.parameters:
         raise ArgumentError("parameters", "one at least must be updated", "none")
     if layout.held and any(structure_of(part) is None for part in model.parts):

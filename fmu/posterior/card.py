@@ -16,7 +16,10 @@ _MOST_DRAWN = 5000
 
 
 def problem_card(problem: Posterior) -> str:
-    """Return a problem's HTML card: any drawing of the structure, parameters, and measured and initial modes."""
+    """Return a problem's HTML card, with its parameters and its measured and computed modes.
+
+    The card begins with a drawing of the structure if it can be drawn and is not too large.
+    """
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
     structure = problem.model.parts[0].structure

@@ -30,8 +30,8 @@ class Posterior:
     """The posterior of eq. (8) as a density of theta.
 
     The layout maps theta to the structural parameters in every test, the model maps these to the modes, and the
-    likelihood compares the modes with the data. The prior is a density of theta. This class is the base of
-    `fmu.posterior.problem.UpdatingProblem`, which constructs its attributes and describes them.
+    likelihood compares the modes with the data. Methods whose `theta` is ``ArrayLike`` raise ValueError if it has
+    the wrong shape. The subclass `fmu.posterior.problem.UpdatingProblem` sets and describes the attributes.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Posterior:
         return other
 
     def with_likelihood(self, likelihood: Likelihood) -> Self:
-        """Return the same problem with another likelihood, which may have other inferred error sds."""
+        """Return the same problem with another likelihood, which may have other inferred error parameters."""
         other = copy(self)
         other.likelihood, other._failed = likelihood, FailureRecord()
         other._take_parameters()
@@ -72,7 +72,7 @@ class Posterior:
     def log_prob(self, theta: ArrayLike) -> Any:
         """Return log P(θ|D) up to the log-evidence; a float for theta (ndim,), or shape (n,).
 
-        It is ``-inf`` outside the bounds and where the log-likelihood is not finite.
+        It is ``-inf`` outside `support` and where the log-likelihood is not finite.
         """
         points, single = self._points(theta)
         within = self._within(points)
@@ -86,7 +86,7 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return the log-probability and its gradient, which has theta's shape and is NaN outside the bounds."""
+        """Return the log-probability and its gradient, which has theta's shape and is NaN outside `support`."""
         points, single = self._points(theta)
         within = self._within(points)
         if np.count_nonzero(within) == within.size > 0:
@@ -150,10 +150,9 @@ class Posterior:
         return self._record_failures(terms, theta), squares
 
     def terms_of_frequencies(self, theta: FloatArray, frequencies: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum at theta (n, ndim), given the model's frequencies there.
+        """Return the log-likelihood of each datum at theta (n, ndim), given frequencies (n, n_modes) in Hz.
 
-        The `frequencies`, (n, n_modes), are in Hz. The model is solved again only if the likelihood needs more
-        than the frequencies.
+        The model is solved again only if the likelihood needs more than the frequencies.
         """
         return self.likelihood.terms_of_frequencies(frequencies, self.layout.of_model(theta))
 
@@ -161,8 +160,8 @@ class Posterior:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
         The likelihood must have residuals (`Likelihood.of_modes`). The information on the structural parameters is
-        JᵀJ, where J is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error sds
-        is Fisher's.
+        JᵀJ, where J is the Jacobian of the residuals at theta (n, ndim). The information on the inferred error
+        parameters is Fisher's.
         """
         return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
 
@@ -171,10 +170,7 @@ class Posterior:
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
-        """Return the log-prior (6), normalised within the bounds; ``-inf`` outside the bounds.
-
-        The result has the shape of `log_prob`.
-        """
+        """Return the log-prior (6), normalised within the bounds, in the shape of `log_prob`; ``-inf`` outside."""
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._within(points).all(axis=1)
@@ -206,7 +202,10 @@ class Posterior:
         return [(one.term, one.own(of_model)) for one in self.likelihood.every]
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
-        """Return the frequencies paired with the measured modes, Hz, (n_modes,) or (n, n_modes), at any theta."""
+        """Return the frequencies paired with the measured modes, in Hz, shape (n_modes,) or (n, n_modes).
+
+        They are also defined outside the bounds, and NaN where the solve failed.
+        """
         points, single = self._points(theta)
         frequencies = self.model.frequencies(self.model_parameters(points))
         return frequencies[0] if single else frequencies
@@ -214,17 +213,16 @@ class Posterior:
     def model_parameters(self, theta: FloatArray) -> FloatArray:
         """Return the model's parameters, (n, n_parameters), at theta (n, ndim).
 
-        If there are several tests, the structural parameters in the first test come first, then the structural
-        parameters in the second test, and so on.
+        With several tests, these are the structural parameters in the first test, then in the second, and so on.
         """
         return self.layout.of_model(theta)[:, : self.model.n_parameters]
 
     def values(self, theta: ArrayLike) -> FloatArray:
-        """Return the structural parameters in every test, shape (n_tests, n) or (n_points, n_tests, n).
+        """Return the p structural parameters in every test, shape (n_tests, p) or (n, n_tests, p).
 
         Parameters
         ----------
-        theta : array_like, shape (ndim,) or (n_points, ndim)
+        theta : array_like, shape (ndim,) or (n, ndim)
 
         Returns
         -------
@@ -253,8 +251,7 @@ class Posterior:
     def take_failures(self) -> list[Failure]:
         """Return the failures since the last call of this method; they remain in `failures`.
 
-        A theta that failed several times is returned once. At most ten thousand failures are stored; `n_failures`
-        counts all failures.
+        A theta that failed several times is returned once. At most ten thousand failures are stored.
         """
         return self._failed.take()
 
@@ -306,7 +303,10 @@ class Posterior:
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first SeparableModel that depends on parameter `k`, and its index there, or None."""
+        """Return the first SeparableModel that parameter `k` changes, and the index of its structural parameter.
+
+        Return None if `k` changes no matrices.
+        """
         of = self.roles[k].of
         return None if of is None else self.model.matrices_of(of)
 
@@ -317,7 +317,7 @@ class Posterior:
         return other
 
     def _take_parameters(self) -> None:
-        """Set the attributes that follow from the layout's parameters and the likelihood's inferred error sds."""
+        """Set the attributes that follow from the layout's parameters and the likelihood's error parameters."""
         self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         self.ndim = len(self.parameters)
         self.names = tuple(p.name for p in self.parameters)
@@ -362,7 +362,7 @@ class Posterior:
 
     @property
     def support(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest theta with a positive density, (ndim,) each: the bounds or values just inside."""
+        """Lowest and highest theta with a finite log-prior, (ndim,) each: the bounds, or values just inside."""
         return self._lowest[0], self._highest[0]
 
     def _within(self, points: FloatArray) -> BoolArray:
@@ -385,7 +385,7 @@ class Posterior:
         return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Record points with a non-finite term. Return `terms` (n, n_terms), with all terms of such a point −∞."""
+        """Record points inside the bounds with a non-finite term; return `terms`, all −∞ if one is not finite."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

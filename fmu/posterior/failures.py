@@ -40,7 +40,7 @@ class FailureRecord:
         return FailureRecord, (self.most,)
 
     def add(self, points: FloatArray, why: Callable[[FloatArray], str]) -> None:
-        """Record failed points (n, ndim). ``why(theta)`` returns the reason; only stored points need it."""
+        """Record failed points (n, ndim). ``why(theta)``, called only for stored points, returns the reason."""
         self.count += len(points)
         for theta in points:
             if len(self._waiting) >= self.most:

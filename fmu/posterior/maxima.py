@@ -23,7 +23,7 @@ STARTS = 256
 _ROUGH, _TOLERANCE = 0.1, 1e-10
 """Predicted decrease of a step, in nats, below which all ascents pause, and below which the best ascents end."""
 _CLOSE = 0.5
-"""Ascents that pause less than this below one maximum, in nats and judged by its curvature, continue as one."""
+"""Of ascents that pause within this many nats of each other, by value and curvature, only the best continues."""
 _SAME = 1e-3
 _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]

@@ -85,13 +85,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Smallest value with a positive prior density: `lower`, or the next float above if `lower` has none."""
+        """Smallest value with a positive, finite prior density: `lower`, or else the next float above it."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Largest value with a positive prior density: `upper`, or the next float below if `upper` has none."""
+        """Largest value with a positive, finite prior density: `upper`, or else the next float below it."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 
@@ -145,7 +145,7 @@ def require_name(name: str, key: str = "name") -> None:
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters. Those in a named group get a Gaussian prior with the group's α in eq. (6).
+    """Return the parameters. Those in a named group get a Gaussian prior with mean 0 and the group's α in eq. (6).
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class Fit(NamedTuple):
 
 
 def fit_to_bounds(parameter: Parameter) -> Fit | None:
-    """Return a prior's position relative to its bounds, or None if the prior is only defined between bounds."""
+    """Return a prior's position relative to its bounds, or None if the prior is defined only between bounds."""
     prior, lower, upper = parameter.prior, parameter.lower, parameter.upper
     if prior.needs_bounds:
         return None

@@ -46,7 +46,7 @@ class UpdatingProblem(Posterior):
     data : ModalData
     parameters : sequence of Parameter
         Parameters of the model. theta consists of the updated parameters, in this order, followed by the
-        inferred standard deviations of `error`.
+        inferred parameters of `error` and `discrepancy`, such as standard deviations.
     pairing : {"shape", "index", "soft"}
         How the modes of a SeparableModel are paired with the measured modes (`fmu.fem.pairing.rules`).
         ``"shape"``: by MAC with the measured shapes or, if there are none, with the model's modes before updating.
@@ -77,7 +77,7 @@ class UpdatingProblem(Posterior):
     ----------
     ndim : int
     n_structural : int
-        Number of parameters before the inferred standard deviations.
+        Number of parameters in theta before the inferred parameters of the errors.
     names, units : tuple of str
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
@@ -102,9 +102,9 @@ class UpdatingProblem(Posterior):
     Raises
     ------
     ValueError
-        If the model or an error model does not fit the parameters or the data, two parameters share a name, a
-        structure has no finite log-probability at the start, or the rounding errors of the matrices exceed the
-        measurement errors (`fmu.posterior.rounding`).
+        If the model or an error model does not fit the parameters or the data, two parameters share a name, no
+        parameter is updated, a structure has no finite log-probability at the start, or the rounding errors of
+        the matrices exceed the measurement errors (`fmu.posterior.rounding`).
 
     Warns
     -----
@@ -160,17 +160,17 @@ class UpdatingProblem(Posterior):
         """Return a problem in which a certified reduced model replaces a SeparableModel inside the bounds.
 
         The reduced model is trained here, or read from the cache (`fmu.posterior.reduction.train_reduced`). Any
-        other model is used unchanged.
+        other model is used unchanged, and so is a SeparableModel for which a reduced model would not save time.
 
         Parameters
         ----------
         *args, **options
             The arguments of `UpdatingProblem`.
         reduction : bool or float
-            Largest relative frequency error of the reduced model, above 0 and at most 0.01; True means 1e-6, or as
-            much as the measurement errors allow for 20 000 degrees of freedom or more. The largest log-probability
-            error follows from this value (`fmu.posterior.reduction.tolerance.Tolerance.of`). False selects the
-            full model.
+            Largest relative frequency error of the reduced model, above 0 and at most 0.01. True means 1e-6 or, if
+            a block of the matrices has 20 000 degrees of freedom or more, as much as the measurement errors allow.
+            The largest log-probability error follows from this value
+            (`fmu.posterior.reduction.tolerance.Tolerance.of`). False selects the full model.
         engine : Engine, optional
             The engine whose workers train the reduced model (see `fmu.engine`); the result is identical to the
             last bit. The problem keeps no reference to the engine.
@@ -178,12 +178,16 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            In the cases listed for `UpdatingProblem`, and if `reduction` is out of range.
+            In the cases listed for `UpdatingProblem`, if `reduction` is out of range, or if, somewhere inside the
+            bounds, a displacement has neither stiffness nor mass, or has negative mass.
 
         Warns
         -----
         ReductionWarning
-            If training ended before the tolerance was reached.
+            If the full model must be used because it has no modes at draws from the prior, or if the reduced model
+            misses its tolerance or meets it only in a part of the box.
+        RoundingWarning
+            As in `UpdatingProblem`.
         """
         Tolerance.of(reduction)  # raise its errors before the expensive work
         problem = cls(*args, **options)
@@ -282,13 +286,15 @@ class UpdatingProblem(Posterior):
     ) -> FloatArray:
         """Return computed frequencies with simulated measurement errors added, in Hz, shape (n, n_modes).
 
+        A model discrepancy is simulated too.
+
         Parameters
         ----------
         rng : Generator
         frequencies : ndarray, shape (n, n_modes), Hz
             Computed frequencies.
         theta : ndarray, shape (n, ndim), optional
-            Supplies the inferred error sds. Needed if there are any, or if the model has a discrepancy.
+            Supplies the inferred error parameters. Needed if there are any, or if the model has a discrepancy.
         same_structure : bool
             True to draw the model discrepancy of the measured structure, given the data; False to draw it for a
             similar structure.
@@ -309,7 +315,7 @@ class UpdatingProblem(Posterior):
 
         By contrast, `simulate_data` simulates the data, which are the mean of several tests and scatter less than
         one test (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are the same as in
-        `simulate_data`.
+        `simulate_data`; the further test is of the same structure.
 
         Raises
         ------

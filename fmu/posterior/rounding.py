@@ -131,7 +131,7 @@ def rounding(problem: Posterior) -> Rounding | None:
 
 
 def bounded_rounding(problem: Posterior) -> Rounding | None:
-    """Return the result of `rounding`; also raise ValueError if a rounding error exceeds the measurement error."""
+    """Return the result of `rounding`; raise ValueError if an expected error exceeds the measurement error."""
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())

@@ -13,7 +13,7 @@ from fmu.types import BoolArray, FloatArray, LogDensity
 WIDE = 1.0
 """Standard deviation of log θ above which a prior spans decades (with 1, 95 % lie within a factor of 50)."""
 FARTHEST = 40.0
-"""Largest distance from the median, in standard deviations of log θ, where the prior is lower by 800 nats."""
+"""Largest distance from the median, in standard deviations of log θ; the log-prior is 800 lower there."""
 
 
 class ScaledDensity:

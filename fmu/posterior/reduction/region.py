@@ -27,8 +27,8 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
     """Return the lower and upper limits of the box in which a reduced model is first trained, shape (n,) each.
 
     The prior's box (`fmu.posterior.parameters.box`) is extended to bounds that are near and not much less
-    probable. It then also covers the few draws in ten thousand that lie more than four prior standard deviations
-    from the centre.
+    probable. It then also covers the few draws in a hundred thousand that lie outside the prior's box on that
+    side.
     """
     ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
     is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
@@ -90,10 +90,11 @@ def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
 
 
 def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the limits of a box that contains all plausible points, or None if the box `trained` is large enough.
+    """Return the limits of a wider box for the posterior, or None if the box `trained` (2, n) is large enough.
 
-    Each limit has the shape (n,). The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the
-    posterior lies outside it, estimated with draws from the Laplace approximations at the maxima.
+    Each limit has the shape (n,). The wider box contains `trained`, draws from the Laplace approximations at the
+    maxima, and some `plausible_points`. `trained` is large enough if at most the share `_OUTSIDE` of these draws
+    lies outside it.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
     maxima = local_maxima(problem, starts=8)

@@ -68,4 +68,4 @@ class Tolerance:
 
 
 MEASURED = Tolerance(1e-3, 1e-2, 10.0)
-"""The tolerance of a large structure, which is determined by the errors of the measurement."""
+"""The default tolerance of a large structure: small errors compared with the usual measurement errors."""

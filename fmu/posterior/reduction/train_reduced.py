@@ -48,7 +48,7 @@ _SNAPSHOTS, _BEYOND = 60, 1e-3
 
 
 class ReductionWarning(UserWarning):
-    """Warns that a reduced model cannot be made, or does not meet its tolerance or only in part of the box."""
+    """Warns that a reduced model cannot be made, misses its tolerance, or meets it only in a part of the box."""
 
 
 def reduced_model(
@@ -56,11 +56,11 @@ def reduced_model(
 ) -> tuple[ModalModel, Tolerance | None]:
     """Return a reduced model, trained or read from the cache, and the tolerance that it must meet.
 
-    At every point tested in the box, the frequencies meet their tolerance. The log-probability meets its tolerance
-    wherever it is within the tolerance's `depth` of its maximum. Points at a jump, where modes swap and the two
-    models may pair different modes, are ignored. Training ends early if more points do not help, because only the
-    full model's rounding remains, or if a larger basis would not save time (`fmu.fem.reduced.points.affordable`).
-    After a run, the certificate states whether the tolerances were met (`fmu.analysis.certificate`).
+    The frequencies must meet their tolerance at every point tested in the box, and the log-probability wherever it
+    is within the tolerance's `depth` of its maximum. Points at a jump, where modes swap and the two models may
+    pair different modes, are ignored. Training ends early if more points do not help, because only the full
+    model's rounding remains, or if a larger basis would not save time (`fmu.fem.reduced.points.affordable`). After
+    a run, the certificate states whether the tolerances were met (`fmu.analysis.certificate`).
 
     If the box is so wide that a basis for the tolerance would not save time, three alternatives are tried in turn:
 
@@ -77,14 +77,15 @@ def reduced_model(
     Raises
     ------
     ValueError
-        If the model must be trained and rounding errors exceed the measurement errors, or if a displacement has
-        neither stiffness nor mass where a parameter is zero.
+        If the model must be trained and rounding errors exceed the measurement errors, or if, somewhere in the
+        box, a displacement has neither stiffness nor mass, or has negative mass.
 
     Warns
     -----
     ReductionWarning
-        If training ended before the tolerances were met, or the full model could not be solved at draws from the
-        prior. The warning is repeated if the model is read from the cache.
+        If the full model has no modes at draws from the prior, the reduced model misses its tolerance or meets it
+        only where the posterior has its mass, or K is negative or errors are not bounded well in a part of the
+        box. The warning is repeated if the model is read from the cache.
     """
     structure = structure_of(problem.model)
     if structure is None:
@@ -183,9 +184,10 @@ def _reduce(
 def _find_tolerance(
     problem: Posterior, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
-    """Return the tolerance that a reduced model meets, or None for a full model.
+    """Return the tolerance that a reduced model must meet, or None for a full model.
 
-    Warn if the reduced model misses the requested tolerance, or if no solve succeeded that could train it.
+    Warn if the reduced model misses the requested tolerance or meets it only in a part of the box, or if the full
+    model has no modes at draws from the prior.
     """
     if "unsolved" in state:
         reason = why_no_frequencies(model, state["unsolved"]) or NOT_FINITE
@@ -204,8 +206,8 @@ def _trained_at_draws(
 ) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
     """Return a reduced model trained at draws from the prior and the posterior, and its training state.
 
-    Return None if the errors in the log-probability or the frequencies at fresh posterior points are too large
-    (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. Raise NoModesError if no draw from
+    Return None if, at fresh points from the posterior, log-probability errors are too large for `LOOSEST_LOG_PROB`
+    or frequency errors for `LOOSEST_FREQUENCY`, or if K is singular at a draw. Raise NoModesError if no draw from
     the prior can be solved. `trained` (2, n_parameters) is the box, and `frequency` is the requested relative
     error.
     """
@@ -268,7 +270,7 @@ def _singular(problem: Posterior, error: SingularAnchorError) -> str:
 
 
 def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
-    """Return the measured modes' largest relative frequency error at fresh points in the box."""
+    """Return the measured modes' largest relative frequency error at fresh points in the box; see `_error_at`."""
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
     if model.truth.solver != LAPACK:  # where solves are expensive, use only about _CHECKED points in total
         theta = theta[:: -(-len(theta) // _CHECKED)]
@@ -278,8 +280,8 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
 def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
     """Return the reduced model's largest relative frequency error at theta (n, p), over measured modes.
 
-    The result is 0 if no error exceeds `tolerance`. Points are skipped if both models have the same modes there
-    but pair different ones with the measured modes.
+    The result is 0 if no error exceeds `tolerance`. Rigid-body modes are left out. Points are skipped if the full
+    model fails there, or if both models have the same modes but pair different ones with the measured modes.
     """
     full = model.truth.modes(theta)
     exact, reduced = full.eigenvalues, model.modes(theta).eigenvalues
@@ -341,7 +343,10 @@ def _warn(said: str) -> None:
 
 
 def _looser(tolerance: Tolerance, reached: float) -> float:
-    """Return the power of ten above the tolerance and the error `reached`, but at most `LOOSEST_FREQUENCY`."""
+    """Return the smallest power of ten that is ten times the tolerance or more, and not below `reached`.
+
+    It is at most `LOOSEST_FREQUENCY`, which is also returned if `reached` is not finite.
+    """
     wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
     return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 
