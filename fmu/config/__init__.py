@@ -40,7 +40,7 @@ SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
 _KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
 _LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{8 * DEEPEST_KEY},}}+)")
-"""Pattern of a key with too many parts. Text that does not end like a key, as in a string, may have more parts."""
+"""Pattern of a key with too many parts. Text not followed by ``=`` or ``]`` may have eight times as many."""
 
 
 @check_arguments
@@ -75,14 +75,17 @@ def load(
         If the file has errors. It is a ValueError that lists each error's location, the rule, and the value
         received.
     FileNotFoundError
-        If the file does not exist.
+        If there is no such file, or it cannot be read.
     """
     path = Path(path)
     return read(path).build(path.name, path.parent, pairing, beta, engine)
 
 
 def read(path: Path) -> ProblemFile:
-    """Return a problem file, after checking its values' types and ranges. Raise the same errors as `load`."""
+    """Return a problem file with the types and ranges of its values checked. Raise the same errors as `load`.
+
+    Old names of keys in ``[[error]]`` are replaced by the present names, with a warning.
+    """
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile

@@ -104,7 +104,7 @@ def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> li
 
 
 def is_of_modes(model: ErrorModel) -> bool:
-    """Return True if an error model applies to modes, or False for another quantity, e.g. a displacement."""
+    """Return True if an error model applies to modes, or False for other quantities: displacements or FRFs."""
     return not _are_of_quantities(model)
 
 
@@ -113,7 +113,7 @@ def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
 
 
 def _noises(table: Declared) -> dict[str, str]:
-    """Return the noise tables that an error table refers to: their names, keyed by the key that refers to them."""
+    """Return the names of the noise tables to which an error table refers, keyed by the table's key."""
     hints = get_type_hints(table.makes[0])
     return {
         key: str(value)
@@ -123,7 +123,7 @@ def _noises(table: Declared) -> dict[str, str]:
 
 
 def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
-    """Return an error for each ``sd`` that is given although the tests' scatter already determines it.
+    """Return an error for each ``sd`` given with repeated tests, whose scatter already determines the errors.
 
     One of the two would otherwise be ignored.
     """

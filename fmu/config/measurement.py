@@ -289,7 +289,8 @@ class MeasurementTable(TomlTable):
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
         """Return the model's sensor for each given (place, direction).
 
-        Places are measurement points if `points` is given. Raise BrokenError if a sensor does not exist.
+        Places are measurement points if `points` is given. Raise BrokenError if a sensor is unknown or cannot
+        move.
         """
         sensors: list[Dof] = []
         found = Mistakes()
@@ -330,7 +331,7 @@ class MeasurementTable(TomlTable):
         return given._replace(modes=modes)
 
     def _read_frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> ModesGiven:
-        """Read the frequencies, with any uncertainties, labels, numbers and tests that their source contains."""
+        """Read the frequencies and everything else that their source contains. Raise BrokenError on failure."""
         if self.frequencies is not None:
             return ModesGiven(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
@@ -374,7 +375,7 @@ def _repeated_shapes(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return the tests' mean mode shapes, shape (n_sensors, n_modes), and their standard deviations or None.
 
-    Raise BrokenError if the shapes do not match the tests.
+    Raise BrokenError if the shapes do not match the tests, or their numbers of sensors differ.
     """
     where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
     wrong = (

@@ -102,7 +102,7 @@ def _of_one(error: ErrorDetails) -> ArgumentError:
 
 
 def _as_rule(message: str) -> str:
-    """Reword a pydantic message ``Input should be …`` as the rule ``must be …``."""
+    """Reword a pydantic message ``Input should be …`` as the rule ``must be …``. Other messages stay the same."""
     subject, should, rest = message.partition(" after validation")[0].partition(" should ")
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 

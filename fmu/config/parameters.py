@@ -39,7 +39,7 @@ LEAST_LOG_MASS = -200.0
 """Smallest log-probability that a prior may have between the bounds; bounds 20 standard deviations away are
 typos."""
 KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
-"""The key of a parameter's table that lists the groups, masses or springs with a property, by property."""
+"""For each property, the key of a parameter's table that lists its groups, masses or springs."""
 
 
 class Target(TomlTable):
@@ -290,7 +290,10 @@ class ParameterTable(Uncertain, Target):
         return replace(super().build(), updated=self.updated)
 
     def is_positive(self) -> bool:
-        """Return True if the bounds or the prior ensure that the parameter is positive."""
+        """Return True if the bounds or the prior ensure that the parameter is positive.
+
+        Only the lower bound counts if the table is invalid.
+        """
         try:
             return self.build().lowest > 0.0
         except ValueError:  # this error is reported separately

@@ -66,7 +66,7 @@ class ExportTable(TomlTable):
     plate.inp."""
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
-        """Return an error for each template that `names` cannot fill, or whose file name is taken."""
+        """Return an error for each template that `names` cannot fill, or whose output file's name is taken."""
         found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):
@@ -239,7 +239,7 @@ class ProblemFile(TomlTable):
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
     def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
-        """Build the problem with the model's predicted modes as data. Raise BrokenError if it predicts none."""
+        """Build the problem with predicted modes as data. Raise BrokenError or ValueError if this fails."""
         assert self.plan is not None  # for the type checker: see `_is_unmeasured`
         if isinstance(built.model, ModalModel):
             raise BrokenError(

@@ -125,7 +125,7 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 def one_length(what: str) -> AfterValidator:
     """Return a validator that rejects rows with different lengths.
 
-    `what` says to what each value in a row belongs, such as "mode". It is used in messages.
+    Messages use `what`: each value in a row is for one mode, sensor or column, and `what` names it.
     """
 
     def check(rows: list[list[float]]) -> list[list[float]]:
@@ -302,7 +302,10 @@ class Of:
 
 
 def inside(key: str, make: Maker) -> Maker:
-    """Return a constructor whose only key is a table of `make`'s arguments: ``{ tube = { diameter = …, … } }``."""
+    """Return a constructor whose only argument, named `key`, is a table of `make`'s arguments.
+
+    In the file: ``{ tube = { diameter = …, … } }``.
+    """
 
     def take_argument(**given: object) -> object:
         return given[key]

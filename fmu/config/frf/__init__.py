@@ -1,4 +1,4 @@
 """Tables for measured frequency response functions and for damping.
 
-Reading order: damping, errors.
+Reading order: damping, errors, in_file.
 """

@@ -131,7 +131,7 @@ def build_damping(
     ----------
     tables : sequence of DampingTable
     parameters : mapping of str to Parameter
-        Damping parameters, keyed by name.
+        The problem's parameters, keyed by name; they include the damping parameters.
     folder : Path
         Folder to which file names are relative.
     """

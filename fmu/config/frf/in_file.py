@@ -57,8 +57,8 @@ class FRFsInFile(NamedTuple):
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
         """Return the errors found in the keys ``data``.
 
-        Each test needs this key, or at least one test if there are other error models. If `tests` is None, the FRF
-        table needs it.
+        If `tests` is None, the FRF table needs this key. Otherwise it must not have it, and each test needs it, or
+        at least one test if there are other error models.
         """
         where = f"error.{self.number}.data"
         if tests is None:
@@ -96,7 +96,8 @@ def mistakes_of_frfs(
 ) -> list[ArgumentError]:
     """Return inconsistencies between the tables for FRFs, damping and tests.
 
-    If there is no FRF table (`found` is None), damping and FRF files must not be given.
+    An FRF table requires damping. If there is no FRF table (`found` is None), damping and FRF files must not be
+    given.
     """
     if found is None:
         rule = 'is used by frequency response functions only, [[error]] with of = "frf"'

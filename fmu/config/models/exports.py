@@ -53,7 +53,11 @@ class _Files(NamedTuple):
 
 
 class RunsTable(TomlTable):
-    """A program that fmu runs to export matrices: once for each parameter, or once for each listed export."""
+    """A program that fmu runs to export matrices.
+
+    It runs once for each listed export without files. If none are listed, it runs once for each parameter, once
+    with all parameters low, and once for a check.
+    """
 
     template: FileName
     """The input deck, relative to the folder of this file, with {NAME} for the value of each parameter: {E1},
@@ -100,7 +104,8 @@ class ExportsTable(ModelTable):
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the errors found in the exports and the parameters.
 
-        The first export must give a value for each parameter. Without exports, no parameter may start at 0.
+        At least two exports are needed without ``[model.runs]``. The first export must give a value for each
+        parameter. Without exports, no parameter may start at 0.
         """
         names = [parameter.name for parameter in parameters]
         found = Mistakes()
@@ -121,7 +126,10 @@ class ExportsTable(ModelTable):
         return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Recover the model from the exports. Raise BrokenError on failure."""
+        """Recover the model from the exports, after running the program for those without files.
+
+        Raise BrokenError on failure.
+        """
         start = {p.name: p.start for p in parameters}
         units = unit_values(start)
         tables = self.exports or [ExportedTable(values=one, check=one is units[-1]) for one in units]

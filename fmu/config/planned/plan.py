@@ -118,7 +118,7 @@ class PlanTable(TomlTable):
         return tuple(dict.fromkeys(every))
 
     def options(self, built: Built) -> dict[str, Any]:
-        """Return the arguments for `fmu.plan`, except the problem."""
+        """Return the arguments for `fmu.plan` that this table gives."""
         given = None if self.candidates is None else _sensors(self.candidates, built)
         if given is None and built.separable is not None:
             given = [dof for dof in built.separable.dofs if dof[1] in self.directions]

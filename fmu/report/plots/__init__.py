@@ -1,7 +1,7 @@
-"""Plots of posterior draws. Each sampler has a fixed colour, and every axis shows its unit.
+"""Plots of posterior draws, frequencies and mode shapes. Samplers have fixed colours, and axes show their units.
 
-Each plot function takes traces, plots on a given or a new Matplotlib Figure and returns the Axes; it does not use
-Matplotlib's global state. To add a plot, write it in a module of this package and import it below.
+Each plot function plots on a given or a new Matplotlib Figure and returns its Axes; it does not use Matplotlib's
+global state. To add a plot, write it in a module of this package and import it below.
 """
 
 from fmu.report.plots.chains import plot_autocorrelation as plot_autocorrelation

@@ -122,7 +122,8 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
     The plot shows how far the distribution of a chain's ranks among all draws differs from the uniform
     distribution. Chains with the same distribution stay near zero. The p-value is from a multi-chain test of
     uniformity; if it is below 1 %, the deviating ranks are marked. Because the test assumes independent draws, the
-    chains are thinned to their effective sample size, within limits of 20 and 500 draws per chain.
+    chains are thinned to their effective sample size, within limits of 20 and 500 draws per chain (500 if it is
+    undefined).
 
     Parameters
     ----------
@@ -320,6 +321,8 @@ def _logarithmic_steps(axes: Axes) -> None:
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     """Plot each parameter's running R-hat, and the limit that the convergence verdict uses.
+
+    The axis shows R-hat − 1 on a logarithmic scale. Values below 0.001 are drawn at 0.001.
 
     Parameters
     ----------

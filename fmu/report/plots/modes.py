@@ -32,7 +32,8 @@ _ONE_COLUMN = 6
 def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None = None) -> Axes:
     """Plot the modal assurance criterion (MAC) between the reference shapes and the model's mode shapes.
 
-    The MAC of two proportional shapes is 1.
+    The reference is the measured shapes or, if none were measured, the model's modes before updating. The MAC of
+    two proportional shapes is 1.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
     """Return one mode's measured components, scaled to the posterior mean; NaN for unmeasured components.
 
     If `of` is "expanded", return the expanded displacements of all nodes, scaled by the same factor. Return None
-    if the mode has no such entry.
+    if the trace has no such entry.
     """
     if of not in one:
         return None
@@ -141,7 +142,8 @@ def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
 def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
     """Return the sensor positions in m and the scaled measured displacements there, both of shape (places, 3).
 
-    Displacements in directions without a sensor are 0. Return None if no shape was measured.
+    Displacements in directions without a sensor are 0, and NaN where this mode was not measured. Return None if no
+    shape was measured.
     """
     seen = scaled_to_mean(one)
     if seen is None:

@@ -50,8 +50,8 @@ def plot_parameter_updates(
 
     Returns
     -------
-    ndarray of Axes, shape (units,)
-        One axes for the parameters of each unit, and one for inferred error sds.
+    ndarray of Axes, shape (groups,)
+        One axes for the parameters of each unit, and one for the inferred error sds of each unit.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)

@@ -132,7 +132,7 @@ def plot_ranks_of_samplers(
 
     The plots are the same as in `plot_ranks`, with samplers in place of chains. Their test assumes independent
     draws. Every sampler's draws are therefore thinned to half of the smallest effective sample size, within limits
-    of 20 and 500 draws.
+    of 20 and 500 draws (20 if it is undefined).
 
     Parameters
     ----------

@@ -137,9 +137,9 @@ def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
 
 
 def broken(label: str, room: float) -> str:
-    """Break a label into at most three lines that fit in `room` inches, with the unit on its own line.
+    """Return a label, broken into at most three lines with the unit on the last if it is wider than `room` inches.
 
-    A label that is too long ends with "…".
+    A label that is too long ends with "…". Dollar signs are escaped.
     """
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")

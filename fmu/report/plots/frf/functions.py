@@ -70,7 +70,8 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
     """Plot a measured frequency response function and its posterior predictive distribution.
 
     From top to bottom: amplitude, phase, and the distance between the measurement and the model's mean in error
-    standard deviations. Values not used in updating are grey, or red if they test the updated model.
+    standard deviations. Values not used in updating are grey, or red if they test the updated model. If there are
+    more than 1200 lines, only those with locally extreme amplitudes are drawn.
 
     Parameters
     ----------
@@ -246,7 +247,10 @@ def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
 
 
 def _chosen_lines(measured: FloatArray) -> IntArray:
-    """Return the indices of at most about `_MOST_LINES` lines: each interval's smallest and largest amplitude."""
+    """Return the indices of all lines or, if there are more than `_MOST_LINES`, of each interval's extremes.
+
+    The extremes are the smallest and the largest amplitude.
+    """
     n = len(measured)
     if n <= _MOST_LINES:
         return np.arange(n)
