@@ -23,7 +23,8 @@ def engine(
     workers : int
         Number of processes on this machine. If 1, all tasks run in this process.
     cluster : str, optional
-        A Dask scheduler's address, ``"tcp://host:port"``. If given, the cluster runs the tasks.
+        A Dask scheduler's address, ``"tcp://host:port"``. If given, the cluster runs the tasks, and `workers` has
+        no effect.
 
     Returns
     -------
@@ -32,7 +33,8 @@ def engine(
     Raises
     ------
     ValueError
-        If a number is out of range, the package ``distributed`` is missing, or no scheduler answers.
+        If a number is out of range, the package ``distributed`` is missing, the address has another form, or no
+        scheduler answers.
 
     Examples
     --------

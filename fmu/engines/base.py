@@ -86,7 +86,8 @@ class Engine(Protocol):
             sequence is a single task.
         report : callable, optional
             Called in this process with the progress that `work` reports. Workers in other processes pass on at
-            most about ten reports a second each. If None, None is passed to `work`.
+            most about ten reports a second each, besides the last of each phase. If None, None is passed to
+            `work`.
 
         Returns
         -------

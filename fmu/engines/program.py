@@ -96,9 +96,10 @@ def run_program(
 
 
 def last_lines(output: Path) -> str:
-    """Return up to five last lines that a program printed, joined into one line of up to 300 characters.
+    """Return the last lines that a program printed, at most five, joined into one line.
 
-    The text is empty if the program printed nothing or the file cannot be read.
+    Lines without letters or digits are skipped, and only the last 300 characters are kept. The text is empty if
+    the program printed nothing or the file cannot be read.
     """
     try:
         with open(output, "rb") as file:

@@ -108,7 +108,10 @@ class RemoteEngine(Engine):
 
     @abstractmethod
     def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
-        """Wait for the workers, pass on their reports, and yield each finished task with its outcome."""
+        """Wait for the workers, pass on their reports, and yield each ended task with its outcome.
+
+        A task has also ended if its worker has died.
+        """
 
     @abstractmethod
     def _abandon(self) -> None:

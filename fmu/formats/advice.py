@@ -27,7 +27,9 @@ _PROGRAMS = {
 
 
 def how_to_export(suffix: str) -> str:
-    """Return a sentence on exporting matrices from the programs that use this file suffix, or "" if none is known.
+    """Return text to append to a message: how to export matrices from the programs that use this file suffix.
+
+    Return "" if no such program is known.
 
     Parameters
     ----------

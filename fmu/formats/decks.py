@@ -12,8 +12,8 @@ script::
     ops.uniaxialMaterial("Elastic", 1, {E1})
 
 ``{E1:8}`` and ``{E1:16}`` fill 8 and 16 columns, the widths of Nastran's small and large fields; ``{E1:.9e}`` uses
-a Python number format (e, f or g). Braces around anything that is not a single word, as in Tcl or Python, are not
-placeholders; ``{{word}}`` becomes ``{word}``.
+a Python number format (e, f or g). A single word in braces must be the name of a value. Other text in braces, as
+in Tcl or Python, is left unchanged unless it is such a name; ``{{word}}`` becomes ``{word}``.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def filled_name(name: str) -> str:
     Raises
     ------
     ValueError
-        If the template's name does not end with ``.in``.
+        If the template's name does not end with ``.in``, or contains only dots before it.
     """
     path = Path(name)
     if path.suffix != ".in" or not path.stem.strip("."):
@@ -108,10 +108,12 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
 def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
     """Return the parameter values as the filled deck contains them, rounded for example by ``{E1:8}``.
 
+    A value that is not used in the deck is returned unchanged.
+
     Raises
     ------
     ValueError
-        If the deck contains a value with different digits in several places.
+        If a value has different digits in two places of the deck.
     """
     found = dict(values)
     first: dict[str, str] = {}
@@ -166,7 +168,10 @@ def columns(value: float, width: int) -> str:
 
 
 def _shortest(value: float, width: int, exponent: str) -> str:
-    """Return the text of up to `width` characters that is nearest to `value`, and the shortest on a tie."""
+    """Return the text of up to `width` characters that is nearest to `value`, or the shortest one on a tie.
+
+    `exponent` is the letter before the exponent, or "" for Nastran's notation.
+    """
     ways = set()
     for digits in range(1, 18):
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -181,5 +186,5 @@ def _shortest(value: float, width: int, exponent: str) -> str:
 
 
 def _read(text: str) -> float:
-    """Convert a number to float. Its exponent may lack the letter, as in a Nastran field."""
+    """Convert the text of a number to float. The letter of its exponent may be missing, as in a Nastran field."""
     return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) if "e" not in text else text)

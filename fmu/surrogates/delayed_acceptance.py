@@ -68,10 +68,10 @@ def delayed_acceptance(
         effective sample size (ESS). A trace with ``until_ess=2000`` has enough draws if the surrogate is good.
     until_ess : float
         Bulk and tail ESS that every parameter must reach, in addition to convergence. Values below the ESS that
-        convergence requires have no effect. At first, 1.25 times the required ESS of proposals are solved, and
-        then more if the ESS is too small.
+        convergence requires have no effect. The number of proposals solved at first is 1.25 times the required
+        ESS; more are solved if the ESS is then too small.
     max_solves : int, optional
-        Largest number of proposals that are solved, at least one per chain. By default, all proposals may be.
+        Largest number of proposals to solve, at least one per chain. Defaults to all proposals.
     engine : Engine, optional
         Calls the user's function at several theta in parallel; see `fmu.engine`. The draws do not depend on it.
 

@@ -116,7 +116,7 @@ def largest_sd_shift(posterior: FloatArray) -> float:
 
 
 def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int, most: int) -> int:
-    """Return the smallest number of draws for which `upper_shift` is likely to be within `tolerance`.
+    """Return the smallest number of draws for which `ErrorLimits.shift` is likely to be within `tolerance`.
 
     The number is between `fewest` and `most`, or 0 if even `most` draws are not enough. `sd` is the expected
     standard deviation of the errors. As a margin, the sample standard deviation is taken to be larger by the

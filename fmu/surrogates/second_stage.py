@@ -131,7 +131,7 @@ class SecondStage:
             under_way.advance(chains * (self._n - first))
 
     def result(self, seconds: float) -> RunResult:
-        """Return the chains of accepted proposals as the result of a run that took `seconds` seconds.
+        """Return the chains of the second stage as the result of a run that took `seconds` seconds.
 
         The time of the surrogate's run is added as warm-up. Raise ValueError if all solves of a chain failed.
         """

@@ -1,4 +1,4 @@
-"""Select the points to solve next, which reduce the posterior's error most."""
+"""Selection of the draws at which to solve the model next: those that reduce the posterior's error most."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: Floa
 
 
 def stratify(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Sort the draws by `uncertainty` (N,), divide them into n equal groups, and pick one at random from each.
+    """Sort the draws by `uncertainty` (N,), divide them into n groups of about equal size, and pick one from each.
 
-    Return the indices of the picked draws, shape (n,).
+    Return the indices of the picked draws, shape (n,). Within a group, the choice is random.
     """
     groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
     return np.array([rng.choice(group) for group in groups])

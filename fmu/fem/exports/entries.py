@@ -19,7 +19,11 @@ _FEWEST_DIGITS = 6
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Entries on and above the diagonal that are nonzero in any export, each divided by √(a_ii a_jj)."""
+    """Entries on and above the diagonal that are present in any export, each divided by √(a_ii a_jj).
+
+    Here a_ii is the diagonal entry with the largest absolute value in the exports. If it is zero for a row or
+    column, an entry is divided by its own largest absolute value.
+    """
 
     entry: FloatArray  # (n_exports, n)
     scale: FloatArray  # (n,)
@@ -64,7 +68,7 @@ class Entries:
         return int(self.row[at]), int(self.column[at])
 
     def matrix(self, entry: FloatArray) -> sp.csr_array:
-        """Return the symmetric matrix with scaled entries `entry` (n,), with the scaling undone."""
+        """Return the symmetric matrix with these entries (n,), after undoing their scaling."""
         keep = entry != 0
         row, column, data = self.row[keep], self.column[keep], (entry * self.scale)[keep]
         off = row != column

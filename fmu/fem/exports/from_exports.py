@@ -60,9 +60,10 @@ def from_exports(
     ------
     ValueError
         If there are fewer than two exports or too few to separate the terms, the first export is a check, a
-        parameter value is not finite or is zero in the first export, no export changes a parameter alone, an
-        export has other degrees of freedom or another geometry, a parameter changes nothing, or powers from -1 to
-        3 do not reproduce an export; the message then names the entries.
+        parameter value is not finite or is zero in the first export, another export names a parameter that the
+        first does not give, no export changes a parameter alone, an export has other degrees of freedom or
+        another geometry, a parameter changes nothing, or powers from -1 to 3 do not reproduce an export; the
+        message then names the entries.
 
     Examples
     --------
@@ -157,7 +158,7 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Raise ArgumentError if an export's degrees of freedom or motions differ from those in the first export."""
+    """Raise ArgumentError if an export differs from the first in degrees of freedom, or in a motion's weights."""
     first = exports[0].model.dofs
     motions = exports[0].model.motions
     for i, one in enumerate(exports):
@@ -182,9 +183,9 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
 
 
 def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:
-    """Return, for each parameter, the exports in which no other parameter differs from the first export.
+    """Return, for each parameter, the indices of the exports in which only this parameter differs from the first.
 
-    Raise ArgumentError if a parameter has no such export.
+    Only exports in the mask `used` count. Raise ArgumentError if a parameter has no such export.
     """
     differs = values != values[0]
     found = []

@@ -135,8 +135,9 @@ class _Points:
 
         The known terms are always included. Also return the terms of the first fit that reproduces the exports
         used. Both are determined from a sample of the entries (n_exports, n). Entries that these terms do not
-        reproduce, such as the entry of a single spring in a solid, are then added to the sample. The fit is None
-        if no terms reproduce all exports. The terms are None if none reproduce the exports used.
+        reproduce, such as the entry of a single spring in a solid, are then added to the sample. If the worst of
+        them are in the sample already, the returned fit misses some entries. The fit is None if no terms reproduce
+        all exports. The terms are None if none reproduce the exports used.
         """
         some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
         while True:
@@ -196,7 +197,7 @@ class _Fit:
     def solve(self, entry: FloatArray) -> FloatArray:
         """Return coefficients (n_terms, n) for entries (n_exports, n), with negligible coefficients set to zero.
 
-        A small coefficient is not set to zero if the exports used could then no longer be reproduced.
+        If an entry could then no longer be reproduced in the exports used, all of its coefficients are kept.
         """
         used, noise = self.points.used, self.points.noise
         found = self.inverse @ entry[used]
@@ -242,11 +243,12 @@ def recover(
 
     Entries changed by the same parameters have the same terms. If two parameters change neighbouring elements, the
     entries at the common nodes have the terms of both parameters. These terms are already known, because entries
-    changed by fewer parameters are treated first. The two changes may cancel in such an entry. So the entry is
-    assumed to depend on every parameter that changes the diagonal entries of both its row and its column, where
-    nothing cancels.
+    changed by fewer parameters are treated first. The two changes may cancel in such an entry. If its own
+    parameters give no fit, the entry is therefore assumed to depend on every parameter that changes the diagonal
+    entries of both its row and its column, where nothing cancels.
 
-    Raise NotSeparableError if no terms reproduce the exports, and ArgumentError if more exports are needed.
+    Raise NotSeparableError if no terms reproduce the exports, and ArgumentError if more exports are needed or some
+    entries are not reproduced.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))
@@ -291,7 +293,10 @@ def recover(
 
 
 def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ...]]:
-    """Return the sets of `size` terms, simplest first, up to the number of sets that may be tried."""
+    """Return sets of `size` terms, simplest first.
+
+    Of very many sets, only ten times as many as may be tried are considered.
+    """
     some = islice(combinations(choices, size), 10 * _MOST_TRIED)
     return sorted(some, key=lambda one: sum(map(_complexity, one)))
 

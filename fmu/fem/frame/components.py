@@ -209,7 +209,7 @@ class PointMass:
     """Directions by which an inertia may be named."""
 
     def value(self, direction: str) -> float:
-        """Return the mass (kg), or the moment of inertia (kg·m²) about an axis, for one of `DIRECTIONS`."""
+        """Return the mass in kg or, for ``"rx"``, ``"ry"`` or ``"rz"``, the moment of inertia in kg·m²."""
         return self.inertia[DIRECTIONS.index(direction) - 3] if direction.startswith("r") else self.mass
 
 

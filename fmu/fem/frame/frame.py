@@ -73,7 +73,7 @@ class Frame:
             - ``(property, group)``: ``"E"``, ``"rho"``, ``"A"``, ``"Iy"``, ``"Iz"`` or ``"J"`` of a group of
               elements. E acts on bending, axial and, through G = E/(2(1+ν)), torsional stiffness; Iy and Iz act
               on bending stiffness, rotary inertia and torsional inertia; A on axial stiffness and
-              translational mass;
+              translational mass; J on torsional stiffness; rho on the mass matrix;
             - ``("mass", name)``, ``("inertia", name)`` or ``("inertia", name, direction)`` of a point mass;
             - ``("stiffness", name)`` or ``("stiffness", name, direction)`` of a spring;
 

@@ -1,4 +1,4 @@
-"""Compute the errors of reduced-model FRFs at posterior draws, with a larger basis and with the full structure."""
+"""Errors of reduced-model FRFs at posterior draws, compared with a larger basis and with the full structure."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class FRFCertificate:
 
     @classmethod
     def worst(cls, certificates: Iterable[FRFCertificate]) -> FRFCertificate | None:
-        """Combine the certificates of several tests at the same draws, taking the largest errors.
+        """Combine the certificates of several tests at the same draws: largest errors and total number of lines.
 
         Return None if there are no certificates.
         """

@@ -86,7 +86,7 @@ class Lines:
     unit: FloatArray
 
     def error(self, one: ComplexArray, other: ComplexArray) -> FloatArray:
-        """Return the root of the squared differences summed over FRFs and lines, in their units, shape (n,)."""
+        """Return the root sum of squared differences over FRFs and lines, each divided by its unit, shape (n,)."""
         return np.asarray(np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2))))
 
 

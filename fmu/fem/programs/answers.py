@@ -75,7 +75,7 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
 def _parts(given: object) -> list[Any]:
     """Return the frequencies, shapes and gradient as a list, with None for each missing array.
 
-    Raise AnswerError if frequencies are missing from a mapping, or there are other arrays.
+    Raise AnswerError if a mapping lacks frequencies or has other keys, or if a tuple has more than three arrays.
     """
     by_name = mapping_in(given)
     if by_name is not None:

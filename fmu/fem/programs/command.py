@@ -1,7 +1,8 @@
 """Finite-element programs run by a command: for every theta, fill in a deck, run the program and read its results.
 
 Each run has its own folder, which contains the deck and the other inputs. The results are stored
-(`fmu.fem.programs.store`) under a hash of everything that affects them, so that no theta is solved twice.
+(`fmu.fem.programs.store`) under a hash of the template, the command, the inputs and the settings of the reader, so
+that no theta is solved twice.
 """
 
 from __future__ import annotations

@@ -126,7 +126,10 @@ class DeckRun:
         return run_program([str(self.program), *arguments], folder, folder / OUTPUT, self.timeout)
 
     def find_output(self, text: str, folder: Path) -> Path:
-        """Return the path of an output file, ignoring the case of its name, because MYSTRAN writes ``job.F06``."""
+        """Return the path of an output file, ignoring the case of its name, because MYSTRAN writes ``job.F06``.
+
+        If no such file or several exist, return the path with the name as given.
+        """
         path = folder / self.name(text)
         if not path.exists():
             names = [other for other in path.parent.glob("*") if other.name.lower() == path.name.lower()]

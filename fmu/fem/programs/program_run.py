@@ -51,7 +51,7 @@ class ProgramRun:
     def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
         """Return a dict of frequencies in Hz and shapes, or raise AnswerError if the run fails.
 
-        The shapes are None if there is no reader.
+        The shapes are None if there is no reader or no sensor.
         """
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)
@@ -74,7 +74,10 @@ class ProgramRun:
         return TOO_LONG in solve.reason and solve.seconds < self.run.timeout
 
     def _read(self, folder: Path) -> tuple[FloatArray, FloatArray | None]:
-        """Read the frequencies and the shapes (or None) from a run. Raise ValueError unless all are finite."""
+        """Read the frequencies and the shapes (or None) from a run.
+
+        Raise ValueError if they cannot be read or are not all finite.
+        """
         shapes = None
         if self.found is not None:
             frequencies = self.found.read(folder / self.run.name(self.found.file), self.run.timeout)
@@ -88,7 +91,10 @@ class ProgramRun:
         return frequencies, shapes
 
     def _keep_files(self, reason: str, folder: Path, failed: Path) -> str:
-        """Save a failed run's files, unless many are saved already; return the reason with their folder added."""
+        """Save a failed run's files, and return the reason with their folder added.
+
+        If `MOST_KEPT` runs are saved already and not all runs are to be kept, delete the files instead.
+        """
         kept = sum(path.is_dir() for path in failed.parent.glob("*"))
         if kept >= MOST_KEPT and not self.keep:
             shutil.rmtree(folder, ignore_errors=True)

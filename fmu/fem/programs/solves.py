@@ -1,7 +1,7 @@
 """Solves of a callable, in memory and optionally on disk: the result or failure at each theta, and its duration.
 
 The callable is a Python function, a program run or an OpenSees model. `Solves` calls it once per theta. No other
-class handles batches, retries, workers or files.
+class handles batches, retries or workers.
 """
 
 from __future__ import annotations
@@ -269,9 +269,10 @@ class Solves:
     def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
         """Call the callable at points (n, n_parameters), and return the solves.
 
-        If `keep`, slow solves and lasting failures are written to the store, which is no longer used once a solve
-        is faster than `least_s`. n is 1 unless the callable is batched. The list is empty if the call fails for
-        several points, because the point at fault is then unknown.
+        If `keep`, solves that took `least_s` or longer are written to the store, except failures that may not
+        occur again. The store is no longer used once a successful solve is faster. n is 1 unless the callable is
+        batched. The list is empty if the call fails for several points, because the point at fault is then
+        unknown.
         """
         if self._first is None:
             self._first = theta[0].tobytes()

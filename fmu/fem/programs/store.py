@@ -191,8 +191,9 @@ class SolveStore:
 def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
     """Return the largest relative difference in frequency, or NaN if a frequency is NaN in only one array.
 
-    Differences are divided by the stored frequency, or by a hundredth of the highest frequency if that is larger,
-    because low frequencies may belong to rigid-body modes.
+    The difference is |f² − s²|/(2d²), which is about |f − s|/d. Here s is the stored frequency, and d is the
+    larger of s and a hundredth of the highest stored frequency, because low frequencies may belong to rigid-body
+    modes.
     """
     least = 0.01 * np.nanmax(stored, initial=0.0)
     with np.errstate(divide="ignore", invalid="ignore"):

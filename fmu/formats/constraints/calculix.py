@@ -108,7 +108,7 @@ def constraints_of(
 
 
 def _without_removed(keywords: Sequence[Keyword]) -> list[Keyword]:
-    """Return the keywords without each *BOUNDARY that a later step removes by OP=NEW."""
+    """Return the keywords except the *BOUNDARY keywords that a later step removes by OP=NEW."""
     kept: list[Keyword] = []
     is_first = False
     for one in keywords:
@@ -120,7 +120,7 @@ def _without_removed(keywords: Sequence[Keyword]) -> list[Keyword]:
 
 
 def _along_local_axes(node: int, rows: Sequence[tuple[dict[DofName, float], int, str]]) -> list[Equation]:
-    """Return the equations of a node with rotated axes, solved for its global displacements.
+    """Return the equations of a node with rotated axes, solved for dependents along global axes.
 
     Each row is (coefficients, local direction, source); duplicates are dropped. The rows contain the same global
     displacements, so they are solved together. Raise RefusedError if they do not determine their dependents.
@@ -189,7 +189,8 @@ def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, t
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
     """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes.
 
-    Directions above 6 and unknown named supports are skipped.
+    Directions other than 1 to 6 and unknown named supports are skipped. Raise RefusedError if there is no such
+    node set.
     """
     for words in one.rows():
         if len(words) < 2 or not words[1].isdecimal():
@@ -212,7 +213,7 @@ def _transform(
     """Return the local axes of the nodes of a *TRANSFORM, keyed by node id, as rows of arrays of shape (3, 3).
 
     The axes are rectangular, or cylindrical if TYPE=C. Raise ValueError unless there are six coordinates, and
-    RefusedError if they do not define three directions.
+    RefusedError if they do not define three directions, or the node set or one of its nodes does not exist.
     """
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:

@@ -2,12 +2,12 @@
 
 The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of the ROT NODE, or of a
 node that CalculiX adds, with a number above all others. Added nodes are numbered for couplings first, then for
-bodies, each in deck order. A body also uses up one number per node, and a coupling one per node and per line of
+bodies, each in deck order. A body also uses up one number per node, and a coupling one per node for each line of
 *KINEMATIC. This numbering is undocumented. It was inferred from CalculiX 2.20 output for two bodies, and may
 differ in other decks, such as decks with shells and beams, which CalculiX expands.
 
-*COUPLING with *DISTRIBUTING distributes the loads on a reference node that itself does not move: masses and
-springs at this node have no effect in CalculiX.
+*COUPLING with *DISTRIBUTING distributes the loads on a reference node, but this node does not move: masses and
+springs at it have no effect in CalculiX.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def bodies_of(
         ``face(element, "S3")`` returns the nodes on a face of a solid element.
     is_numbered : bool
         Whether the numbers of the nodes that CalculiX adds are known. This requires that the deck requests matrix
-        storage and contains only solids.
+        storage and contains only solids and point elements. After a skipped constraint, they are taken as unknown.
     held : set of (node, direction)
         Degrees of freedom that supports fix. The set is changed in place: if CalculiX adds a rotation node to a
         body, a fixed rotation of the reference node is replaced by the added node's displacement.

@@ -70,7 +70,7 @@ class Constraints:
         Element sets, keyed by name.
     keywords : list of Keyword
     n_characters, n_members : int
-        Total sizes of the data lines and of the sets, which are limited.
+        Total numbers of characters in data lines, and of members in sets and surfaces. Both are limited.
     """
 
     nodes_of: dict[str, list[int]] = field(default_factory=dict)
@@ -100,7 +100,10 @@ class Constraints:
         self.keywords[-1].lines.append(line)
 
     def count(self, n_members: int, source: str) -> None:
-        """Add `n_members` to the total size of all sets. Raise RefusedError if it then exceeds `MOST_ENTRIES`."""
+        """Add `n_members` to the total size of all sets and surfaces.
+
+        Raise RefusedError if the total then exceeds `MOST_ENTRIES`.
+        """
         self.n_members += n_members
         if self.n_members > MOST_ENTRIES:
             raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")
@@ -109,8 +112,8 @@ class Constraints:
 def add_set(found: Constraints, one: Keyword) -> None:
     """Add the members listed under an NSET or ELSET keyword, without duplicates.
 
-    A set may name earlier sets; unknown names are ignored. Raise ValueError if numbers of GENERATE are not whole,
-    and RefusedError if there are too many members.
+    A set may name earlier sets; unknown names are ignored. Raise ValueError if the numbers under GENERATE are
+    missing or not whole, and RefusedError if there are too many members.
     """
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))

@@ -1,4 +1,4 @@
-"""Linear constraint equations; each gives one dependent degree of freedom as a weighted sum of others.
+"""Linear constraint equations. Each gives one dependent degree of freedom as a weighted sum of others.
 
 This package calls a dependent degree of freedom "a dependent".
 """

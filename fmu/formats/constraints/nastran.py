@@ -38,10 +38,10 @@ class Constraints:
     ----------
     rigid : list of (name, fields)
         Rigid elements.
-    mpc : dict of int to list of (fields)
+    mpc : dict of int to list of fields
         MPC entries, keyed by set id.
-    added : dict of (kind, int) to list of int
-        Sets that MPCADD and SPCADD combine.
+    added : dict of (kind, set id) to list of int
+        Sets that an MPCADD or SPCADD combines.
     selected : dict of str to set of int
         Sets that the case control selects, keyed by kind: ``"MPC"`` or ``"SPC"``.
     is_deck : bool
@@ -75,7 +75,7 @@ class Constraints:
         """Store an entry of the bulk data, case control or executive control that concerns constraints.
 
         Other entries are ignored. Raise RefusedError if the constraints have more than `MOST_FIELDS` fields in
-        all.
+        all. Raise RefusedError or ValueError if the id of an MPC, MPCADD or SPCADD is malformed.
         """
         if name in ENTRIES:
             self.n_fields += len(fields)
@@ -104,7 +104,8 @@ class Constraints:
     def sets(self, kind: str, known: Sequence[int]) -> list[int]:
         """Return the ids of the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
 
-        `known` lists the ids of the sets in the bulk data; without case control, all of them are active.
+        `known` lists the ids of the sets in the bulk data. All of them are active if the file has no ``BEGIN
+        BULK``, otherwise only those that the case control selects, if any.
 
         Raises
         ------
@@ -133,7 +134,8 @@ def equations_of(
 ) -> list[Equation]:
     """Return the equations of all active constraints, along each node's own axes.
 
-    A note on each RBE3 for which MYSTRAN has other equations is added to `constraints.notes`.
+    If the deck is for MYSTRAN, a note on each RBE3 whose equations differ from Nastran's is added to
+    `constraints.notes`.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def equations_of(
     ------
     RefusedError, ValueError
         If an entry is malformed, names an unknown node or does not determine its dependents, if there are too many
-        rigid elements, or if the case control selects no valid set; see `Constraints.sets`.
+        rigid elements, or if the case control selects several MPC sets or an unknown one.
     """
     found: list[Equation] = []
     for name, fields in constraints.rigid:

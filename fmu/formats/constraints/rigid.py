@@ -81,7 +81,7 @@ def rigid_body(
 ) -> list[Equation]:
     """Return the equations of a rigid body (RBAR) whose motion is determined by six independent components.
 
-    Both arguments list points with their components, numbered from 1 to 6.
+    `independent` and `dependent` list points with their components, numbered from 1 to 6.
 
     Raises
     ------

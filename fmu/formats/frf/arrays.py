@@ -100,7 +100,8 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
     ------
     ModesError
         If there are no frequencies or FRFs, if their shapes do not match, if an array is not numeric or too large,
-        if `wanted` names an unknown array or FRF, or if points are neither in the file nor given.
+        if `wanted` names an unknown array or FRF, or if the points are neither in the file nor given, or their
+        number is wrong.
     """
     found = {attribute: _find(name, arrays, attribute, wanted.variables) for attribute in NAMES}
     for attribute in ("frequencies_hz", "values"):
@@ -165,7 +166,8 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
     """Read all numeric and text arrays in an HDF5 file, such as a MATLAB 7.3 file.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
-    numbers as pairs; both are converted. Raise ValueError if there are too many arrays, or one is too large.
+    numbers as pairs; both are converted. Datasets whose data are in other files are left out. Raise ValueError if
+    there are too many arrays, or one is too large.
     """
     import h5py
 
@@ -228,7 +230,8 @@ def _numbers(name: str, attribute: str, array: AnyArray | None) -> AnyArray:
 def _rows(name: str, attribute: str, array: AnyArray, n_lines: int, lines_first: bool) -> AnyArray:
     """Return an array of FRFs rearranged to one row per FRF, shape (n_frfs, n_lines).
 
-    Raise ModesError if neither its first nor its last axis has `n_lines` entries, or it has more than three axes.
+    An array with one axis is a single FRF. Raise ModesError if neither the first nor the last axis has `n_lines`
+    entries, or there are more than three axes.
     """
     if array.ndim < 2:
         array = array.reshape(1, -1)

@@ -74,7 +74,8 @@ class MeasuredFRFs:
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
         """Return the FRFs whose numbers (from 1) are in `frfs`, or all of them if it is None.
 
-        Raise ModesError if a number is missing; `name` is the file name for the message.
+        Raise ModesError if `frfs` is empty, or the file has no FRF of such a number; `name` is the file name for
+        the message.
         """
         if frfs is None:
             return self
@@ -104,7 +105,7 @@ class FRFFormat:
     read : callable
         ``read(path, wanted)`` returns `MeasuredFRFs`.
     takes : tuple of str
-        The settings that the format supports: ``nodes``, ``variables``, both or neither.
+        Which of the fields ``nodes`` and ``variables`` of `Wanted` the format supports.
     """
 
     suffixes: tuple[str, ...]

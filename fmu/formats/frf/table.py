@@ -57,8 +57,8 @@ def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the table is invalid; the message lists the errors with their lines and columns. Also if it lacks FRFs
-        in `wanted`, or these do not have one point per FRF.
+        If the table is invalid (the message lists the errors with their lines and columns), if it lacks FRFs that
+        are wanted, or if the number of given points differs from the number of FRFs in the table.
     """
     header, rows = read_table(path, MOST_ROWS)
     if _FREQUENCY not in header:

@@ -135,8 +135,8 @@ class _Axes:
     def _direction(self, node: int, number: int, where: str, mistakes: list[str]) -> str:
         """Convert a node's local direction, numbered from ±1 to ±6, to a global direction.
 
-        An error is appended to `mistakes` if the local axis is not along a global axis or, with an empty
-        direction, if its system is invalid.
+        An error is appended to `mistakes` if the local axis is not along a global axis, or if the coordinate
+        system is invalid. In the second case, return "".
         """
         system = self._system.get(node, 0)
         about, k = divmod(abs(number) - 1, 3)
@@ -206,7 +206,7 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
-    """Return the frequency lines in Hz, shape (n_lines,).
+    """Return the frequency lines in Hz, shape (n_lines,), from the first FRF.
 
     Raise ModesError unless all FRFs have the same lines, within `_SAME_LINES`.
     """
@@ -224,8 +224,8 @@ def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
 def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
     """Return the kind that all FRFs share, or None if the file does not specify it.
 
-    Raise ModesError if the kinds differ, or one is not displacement, velocity or acceleration per force or its
-    inverse.
+    A denominator of unknown type is taken for a force. Raise ModesError if the kinds differ, or if one is neither
+    a displacement, velocity or acceleration per force nor a force per displacement.
     """
     found = set()
     for one in frfs:
@@ -268,7 +268,10 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
 
 
 def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
-    """Return the coherence of each FRF, shape (n_frfs, n_lines), or None unless all FRFs have one at all lines."""
+    """Return the coherence of each FRF, shape (n_frfs, n_lines).
+
+    Return None unless every FRF has a coherence with as many lines.
+    """
     ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
     of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
     rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]

@@ -129,7 +129,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
         If an element has a wrong number of nodes or entries, or directions other than 1 to 6.
     RefusedError
         If there is no matrix with this name, both are there and `variable` is None, an element occurs twice or has
-        an unsymmetric matrix, or there are too many entries.
+        an unsymmetric matrix or one of another type, or there are too many entries or rows.
     """
     places, entries, n, held = list[IntArray](), list[FloatArray](), 0, 0
     kinds, seen, index = dict[str, None](), set[tuple[str, str]](), dict[int, int]()

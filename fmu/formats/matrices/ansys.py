@@ -71,7 +71,7 @@ def full_arrays(path: Path) -> dict[str, AnyArray]:
 def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
     """Read the arrays in a file, keyed by name.
 
-    The result is cached, because stiffness and mass are read in turn.
+    The result is cached until the file changes, because stiffness and mass are read in turn.
     """
     return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 
@@ -79,7 +79,8 @@ def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
 def _read(path: Path, variable: str | None) -> Labelled:
     """Read the stiffness or mass matrix, with both triangles filled and row names.
 
-    Raise RefusedError if the file cannot be read, or names no direction or other degrees of freedom in a row.
+    Reading the mass empties the cache. Raise RefusedError if the file cannot be read or has no such matrix, or if
+    a row has no direction or is neither a displacement nor a rotation.
     """
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)

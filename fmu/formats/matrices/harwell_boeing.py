@@ -87,7 +87,8 @@ def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Float
     """Read numbers from fixed-width columns in a Fortran format, such as ``(10I8)`` or ``(1P,3D26.18)``.
 
     If the text has the expected number of words separated by blanks, the widths are ignored, because SciPy writes
-    wider columns than the format states. Raise ValueError if there are fewer numbers, or the format is unknown.
+    wider columns than the format states. Raise ValueError if there are fewer numbers, more lines than numbers or a
+    word that is not a number, or if the format is unknown.
     """
     if n_lines > expected:
         raise ValueError(f"it announces {n_lines} lines for {expected} numbers")

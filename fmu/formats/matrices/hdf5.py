@@ -176,9 +176,9 @@ def _sparse(group: h5py.Group) -> sp.sparray:
 
 
 def _sizes(given: ArrayLike, n: int) -> tuple[int, ...]:
-    """Return `n` sizes, such as the row and column counts, as ints between 1 and `MOST_DOFS`.
+    """Return `n` sizes, such as the row and column counts, as ints.
 
-    Raise RefusedError if they are anything else.
+    Raise RefusedError if there are more or fewer than `n`, or one is not a number from 1 to `MOST_DOFS`.
     """
     sizes = np.ravel(given)
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):

@@ -147,7 +147,7 @@ def _count_stored(rows: int, columns: int, sign: float) -> int:
 def _numbers(file: BinaryIO, announced: int, columns: int) -> FloatArray:
     """Read the table of numbers in a file, shape (announced, columns).
 
-    Raise RefusedError if there are more or fewer rows than announced.
+    Raise ValueError if a row is malformed, and RefusedError if there are more or fewer rows than announced.
     """
     found = np.empty((announced, columns))
     n = 0

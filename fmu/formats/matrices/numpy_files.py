@@ -101,7 +101,7 @@ def _npy(path: Path, variable: str | None) -> Labelled:
 def _csv(path: Path, variable: str | None) -> Labelled:
     """Read comma-separated numbers: a full matrix, or a table (n, 3) of row, column and entry.
 
-    Raise RefusedError if there are too many rows.
+    Raise RefusedError if there are too many rows or columns.
     """
     found: list[FloatArray] = []
     n = 0

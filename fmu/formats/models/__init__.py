@@ -1,7 +1,7 @@
 """Readers for models from other programs: matrices with named degrees of freedom, nodes and elements.
 
-Reading order: exported, read, assembly, edges; then one file per mesh format (bulk with coordinate_systems).
-The matrices are read by `fmu.formats.matrices`.
+Reading order: exported, read, assembly, constrained, ties, edges; then one file per mesh format (bulk with
+coordinate_systems). The matrices are read by `fmu.formats.matrices`.
 """
 
 from fmu.formats.models import ansys, bulk, inp

@@ -61,8 +61,9 @@ def assemble(
     Raises
     ------
     ValueError
-        If rows have no names or repeated names, a matrix has no row in common with the first, no row is left, or
-        the constraints of the mesh cannot be applied (``mesh:``).
+        If rows have no names and no set of `mesh` has their number, if names are repeated or their number is
+        wrong, if a matrix has no row in common with the first, if no row is left, or if the constraints of the
+        mesh cannot be applied (``mesh:``).
     """
     assumed: dict[str, str] = {}
     named = [_name_rows(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
@@ -156,9 +157,11 @@ def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array
 def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
 ) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the rotation matrix T in u = T u_global, the motions of rows that are not rotated, and notes.
+    """Return the rotation matrix T in u = T u_global, motions along global axes, and notes.
 
-    T is None if no node can be rotated.
+    The displacements (or rotations) of a node with axes of its own are rotated if all three have rows. If only
+    some do, the motions express them along global axes as weighted sums of rows, and a note lists the node. T is
+    None if nothing is rotated.
     """
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}

@@ -45,7 +45,8 @@ def constrain(
 ) -> Constrained:
     """Return matrices without dependent and fixed degrees of freedom, together with T in u = T q.
 
-    If the mesh has constraints that the program has applied already, the matrices are returned unchanged.
+    If the program has already applied the mesh's constraints and supports, the matrices are returned unchanged. T
+    is None if the mesh has no constraints.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def _of_supports(count: int) -> str:
 
 
 def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofName]) -> None:
-    """Raise RefusedError if applying the constraints would give matrices of more than `MOST_ENTRIES` entries."""
+    """Raise RefusedError if the constraints couple more than `MOST_ENTRIES` pairs of degrees of freedom."""
     counts = dict(zip(T.dofs, np.diff(T.T.indptr).tolist(), strict=True))
     largest: dict[str, int] = {}
     for one in equations:
@@ -118,10 +119,10 @@ def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofN
 def motions_of(
     T: Transformation, dofs: Sequence[DofName], turn: sp.csr_array | None, axes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the motions of nodes with dependent degrees of freedom along global axes, and notes.
+    """Return the motions along global axes of nodes with dependent degrees of freedom, and notes.
 
-    Motions that equal a row are left out. So are nodes that follow degrees of freedom without rows; a note lists
-    them.
+    Left out are motions that equal a row, motions that are zero, and motions that depend on degrees of freedom
+    without rows. A note lists the nodes of the last kind.
 
     Parameters
     ----------

@@ -64,8 +64,8 @@ class Systems:
     def place(self, node: int, depth: int = 0) -> FloatArray:
         """Return a node's position in global coordinates, shape (3,).
 
-        `depth` counts the references followed so far. Raise RefusedError if a node or system is not defined, or
-        systems refer to themselves.
+        `depth` counts the references followed so far. Raise RefusedError if a node or system is not defined, the
+        three points of a system are in line, or systems refer to themselves.
         """
         if node not in self._places:
             if node not in self.given:
@@ -117,7 +117,7 @@ class Systems:
     def _frame(self, system: int, depth: int) -> tuple[FloatArray, FloatArray]:
         """Return a system's origin (3,) and unit vectors (rows of a (3, 3) array) in global coordinates.
 
-        Raise RefusedError if the system is not defined, its points are in line, or systems refer to themselves.
+        Raise RefusedError under the same conditions as `place`.
         """
         if system in self._frames:
             return self._frames[system]

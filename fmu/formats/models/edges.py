@@ -46,7 +46,9 @@ def edges(mesh: Mesh | ExportedModel) -> IntArray:
 def inside(mesh: Mesh | ExportedModel) -> IntArray:
     """Return the row indices in `mesh.nodes` of nodes inside solids, where no sensor can be, in ascending order.
 
-    A midside node is considered to be on the surface if both ends of its edge are on the surface.
+    Corners on the surface of the solids, and corners of line elements and shells, are not inside. A midside node
+    is inside unless both ends of its edge are such corners. The nodes at the centres of faces and of 27-node
+    hexahedra are never returned.
     """
     lines, faces = _lines_and_faces(mesh)
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
@@ -88,10 +90,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return the edges of all faces, shape (n, 2). If there are many, return only those that outline the shape.
-
-    See `MOST_EDGES`.
-    """
+    """Return the edges of all faces, shape (n, 2), or a part of them if there are more than `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -70,7 +70,7 @@ def mesh_of(
     axes: Mapping[int, FloatArray] | None = None,
     sets: Mapping[str, tuple[DofName, ...]] | None = None,
 ) -> Mesh:
-    """Return nodes and elements as a mesh with node ids in ascending order, after checking them.
+    """Check nodes and elements, and return them as a mesh with node ids in ascending order.
 
     Raises
     ------
@@ -111,7 +111,8 @@ class ExportedModel:
     stiffness, mass : scipy.sparse.csr_array, shape (n_dof, n_dof)
         Symmetric, in the program's units; fmu assumes SI units.
     dofs : tuple of (node id, direction)
-        One per row; a direction is ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` or ``"rz"``, along global axes.
+        One per row; a direction is ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` or ``"rz"``, along global axes
+        except at nodes that a note lists.
     nodes : ndarray of int, shape (n_nodes,)
         Node ids in the mesh; empty if the mesh is not known.
     coordinates : ndarray, shape (n_nodes, 3)
@@ -123,7 +124,7 @@ class ExportedModel:
     notes : tuple of str
         One sentence for each omission or assumption.
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float
-        Displacements and rotations along global axes that are weighted sums of several `dofs`. An example is the
+        Displacements and rotations along global axes that are weighted sums of `dofs`. An example is the
         displacement of a shell's middle surface in a model with nodes on both faces. They take precedence over
         `dofs` of the same name.
     """

@@ -1,6 +1,6 @@
 """Reader for nodes and elements in Abaqus and CalculiX input decks, ``.inp``.
 
-meshio's reader for these files follows ``*INCLUDE`` to any path, has no size limits, and knows fewer element
+meshio's reader is not used: it follows ``*INCLUDE`` to any path, has no size limits, and knows fewer element
 types.
 """
 
@@ -55,13 +55,17 @@ LONGEST_KEYWORD = 10_000
 def parse(lines: Iterator[str]) -> Mesh:
     """Parse a deck's lines into a mesh.
 
+    Elements of unknown types are left out, with a note. Lines after the step in which CalculiX stores its matrices
+    are ignored.
+
     Raises
     ------
     RefusedError
-        If the deck generates nodes, includes files, has parts, no nodes, or too many nodes or elements; or if a
-        constraint cannot be read.
+        If the deck generates nodes or elements, includes files, has parts, coordinates in the system of
+        ``*SYSTEM``, no nodes, an element with an unknown node, or too many nodes or elements; or if a constraint
+        cannot be read.
     ValueError
-        If a line of a node, an element, a set or a constraint is malformed.
+        If a line of a node, an element, a set or a constraint is malformed, or an element lacks nodes.
     """
     nodes: dict[int, tuple[float, float, float]] = {}
     constraints = Constraints()

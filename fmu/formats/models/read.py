@@ -68,8 +68,8 @@ def read_model(
     dofs : path, optional
         File with the row names, one ``node,direction`` per line, if the matrices have no names.
     variables : tuple of str, optional
-        Names of the stiffness and mass matrices in files with several matrices. Defaults to ``K…`` and ``M…`` with
-        the same ending, or ``stiffness`` and ``mass``.
+        Names of the stiffness and mass matrices in files with several matrices. If one file has both, they default
+        to ``K…`` and ``M…`` with the same ending, or ``stiffness`` and ``mass``.
     tied_modes : path, optional
         ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U). They give the
         displacements of the nodes that have no rows because of ``*TIE``, so that sensors can be there. Needs
@@ -78,8 +78,9 @@ def read_model(
     Returns
     -------
     ExportedModel
-        The model along global axes, without rows that have no stiffness and mass, that Abaqus marks as fixed, or
-        that the mesh's constraints and supports eliminate.
+        The model, without rows that have no stiffness and mass, that Abaqus marks as fixed, or that the mesh's
+        constraints and supports eliminate. It is along global axes, except at nodes that a note lists: these have
+        axes of their own, and some of their degrees of freedom have no row.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def _mesh_of(path: Path) -> Mesh:
 def read_names(path: Path) -> tuple[DofName, ...]:
     """Read row names, one ``node,direction`` per line.
 
-    Blanks may replace commas. A title in the first line is skipped.
+    Blanks or semicolons may replace commas. A title in the first line and text after # are skipped.
 
     Raises
     ------
@@ -228,7 +229,7 @@ def require_nodes(
 def _both(path: Path) -> tuple[str, str]:
     """Return the names of the stiffness and mass matrices in a file with several matrices.
 
-    Raise ValueError if the file has only one matrix, or the names do not form exactly one pair.
+    Raise ValueError if the file cannot be read or has only one matrix, or the names do not form exactly one pair.
     """
     try:
         read_labelled(path)
@@ -251,8 +252,9 @@ def _both(path: Path) -> tuple[str, str]:
 def read_beside(path: Path) -> list[Path]:
     """Return the files that are read together with `path` although the problem file does not name them.
 
-    For CalculiX and Abaqus, these are the mass matrix, the row names and the list of expanded nodes, which need
-    not exist. For Nastran, they are the files that a deck includes, or none if the deck cannot be read.
+    For CalculiX, these are the mass matrix, the row names and the list of expanded nodes; for Abaqus, the mass
+    matrix. They need not exist. For Nastran, they are the files that a deck includes, or none if the deck cannot
+    be read. For other programs, there are none.
     """
     if path.suffix.lower() in INCLUDING:
         try:
@@ -265,7 +267,10 @@ def read_beside(path: Path) -> list[Path]:
 
 
 def _is_pair(K: str, M: str) -> bool:
-    """Return True if two matrix names belong together: ``K`` and ``M``, or ``model.Kaa`` and ``model.Maa``."""
+    """Return True if two matrix names belong together.
+
+    Examples are ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``, and ``stiffness`` and ``mass``.
+    """
     rest = [re.split(r"[./]", name) for name in (K, M)]
     if rest[0][:-1] != rest[1][:-1]:
         return False

@@ -1,4 +1,4 @@
-"""Readers for measured modes (CSV, UFF, pyOMA) and computed modes (Nastran F06, CalculiX).
+"""Readers for measured modes (CSV, UFF, pyOMA) and computed modes (Nastran F06, CalculiX), and writers (UFF, VTU).
 
 Reading order: measured_modes; then one file per format.
 """

@@ -82,7 +82,7 @@ def read_f06(
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
     """Read all modes in an F06 file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    Node axes are read from the deck if it is bulk data. Raise ModesError as `read_f06` does.
+    Node axes are read from the deck if it is bulk data. The errors are the same as for `read_f06`.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 
@@ -128,7 +128,7 @@ def _read_printed(
 
 @dataclass
 class _Found:
-    """Frequencies in Hz keyed by mode, components (6,) keyed by mode and node, and any fatal message in a file."""
+    """Frequencies in Hz by mode, components (6,) by mode and node, and the first fatal message in a file."""
 
     frequencies: dict[int, float] = field(default_factory=dict)
     shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)

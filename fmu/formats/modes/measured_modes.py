@@ -140,7 +140,7 @@ def modes_chosen(
 
 
 def check_sensors(name: str, sensors: Sequence[Dof], there: Sequence[Dof]) -> None:
-    """Raise ModesError if a sensor is not `there`, among the places and directions with values in a file.
+    """Raise ModesError if a sensor is not among the places and directions with values in a file (`there`).
 
     A minus sign before a sensor's direction is ignored.
     """

@@ -66,9 +66,10 @@ def pyoma_modes(
     Raises
     ------
     ModesError
-        If the result has no modes, as before ``mpe``, lacks one of `modes`, does not have one channel per sensor,
-        or has frequencies or standard deviations that are not positive numbers; or if the phase collinearity of a
-        shape is below `least_mpc`.
+        If the result has no modes, as before ``mpe``, or too many, lacks one of `modes`, does not have one channel
+        per sensor, or has frequencies or standard deviations that are not positive numbers (each shape may have
+        one standard deviation of zero); or if a shape is zero or not finite, or its phase collinearity is below
+        `least_mpc`.
 
     Notes
     -----
@@ -152,7 +153,7 @@ def read_pyoma(
     modes: Sequence[ModeNumber] | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Read the modes in a pyOMA_2 result that `save_pyoma` wrote, with one of ``sensors`` for each channel.
+    """Read the modes in a pyOMA_2 result that `save_pyoma` wrote.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If it is not a file of pyOMA_2 results.
+        If the file is too large, or not a file of pyOMA_2 results.
     """
     from fmu.formats.matrices.limits import RefusedError
     from fmu.formats.matrices.numpy_files import shapes_in_archive

@@ -76,8 +76,8 @@ def read_uff(
         Numbers of the modes to use, in this order; by default all, in file order.
     sensors : sequence of (place, direction), optional
         Places and measured directions, which may have a minus sign. The default is every place and direction with
-        a nonzero component in at least one mode: the format fills unmeasured directions with zeros. A node that
-        some modes lack stands still in them.
+        a nonzero component in at least one mode: the format fills unmeasured directions with zeros. Components at
+        nodes that a mode lacks are zero.
     least_mpc : float
         Smallest phase collinearity of complex shapes, which are converted to real shapes; see
         `fmu.formats.modes.measured_modes.real_shapes`.

@@ -80,7 +80,7 @@ def whole(field: str, what: str, default: int | None = None) -> int:
 def identity(field: str, what: str) -> int:
     """Return the node, element or coordinate system id in a field.
 
-    Raise ValueError if it is not between 1 and `LARGEST_ID`.
+    Raise ValueError unless it is a whole number between 1 and `LARGEST_ID`.
     """
     number = whole(field, what)
     if not 1 <= number <= LARGEST_ID:
@@ -116,7 +116,7 @@ def components(field: str, what: str) -> list[int]:
 def expand_list(fields: list[str], what: str) -> list[int]:
     """Return the ids in a list of fields, with ``THRU`` ranges expanded and empty fields skipped.
 
-    Raise RefusedError if there are more than `MOST_FIELDS` ids.
+    Raise ValueError if a field is not an id, and RefusedError if there are more than `MOST_FIELDS` ids.
     """
     words = [field for field in fields if field]
     found: list[int] = []

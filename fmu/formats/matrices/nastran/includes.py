@@ -105,7 +105,7 @@ def _name(text: str, lines: Iterator[str]) -> str:
 
 
 def _inside(name: str, folder: Path, beside: Path) -> Path:
-    """Return the path of an included file, relative to `folder` or, if it is not there, to `beside`.
+    """Return the path of an included file, which is looked for in `folder` and then in `beside`.
 
     Raise RefusedError if the file does not exist, or lies outside `folder`.
     """

@@ -65,8 +65,9 @@ class _Entries:
     def add(self, column: int, row: int, values: AnyArray) -> None:
         """Add consecutive values of a column, starting at `row`; column and row are counted from 1.
 
-        Raise ValueError if a value is outside the rows of the matrix. MYSTRAN writes full columns. If at most half
-        of the values are nonzero, only the runs of nonzeros are stored.
+        If at most half of the values are nonzero, as in the full columns that MYSTRAN writes, only the runs of
+        nonzeros are stored. Raise ValueError if a value is outside the rows of the matrix, and RefusedError if
+        there are too many entries.
         """
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
