@@ -136,8 +136,8 @@ class Shared:
 def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message], None]) -> bytes:
     """Run a pickled task and return its pickled outcome: (result, exception or None, traceback).
 
-    The task's reports are passed to `send`, at most ten per second. An exception that cannot be pickled is
-    replaced by a RuntimeError with its text.
+    The task's reports are passed to `send`: at most ten per second, besides the last report of each phase. An
+    exception that cannot be pickled is replaced by a RuntimeError with its text.
     """
     try:
         work, argument, reports = cloudpickle.loads(task)

@@ -184,7 +184,11 @@ def element_colours(changed: BoolArray) -> list[str]:
 
 
 def parameter_colours(structure: Sketch) -> list[str | None]:
-    """Return, for each parameter, the colour of the elements or springs it changes, or None if it changes none."""
+    """Return, for each parameter, the colour of the first element that it changes.
+
+    If it changes no element, return the colour of its springs, or None if it is not the first parameter of any
+    spring.
+    """
     colours = element_colours(structure.changed)
     return [
         colours[int(np.argmax(column))]
@@ -284,7 +288,7 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _find_supports(model: SeparableModel) -> list[int]:
-    """Return the rows of the element nodes that cannot move in some direction in which other nodes can.
+    """Return the rows of the element nodes that can move in fewer directions than the node with the most.
 
     Rotations are ignored in a mesh from another program, because its nodes may lack rotations without being fixed.
     """

@@ -188,7 +188,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     -------
     ndarray, shape (6, r), or None
         Translation, m, and rotation, rad, about the centre of the nodes, one motion per column. None if the model
-        has no geometry, the geometry lacks a node, or degrees of freedom are not along global axes.
+        has no geometry, the geometry lacks a node, or motions are weighted sums of degrees of freedom.
     """
     named = _rigid_rows(model)
     if named is None:
@@ -265,8 +265,8 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and in the fixed directions (n_fixed, 6).
 
     Rotations are about the centre and scaled by the structure's length. Directions in which no node can move are
-    ignored. Return None if the model has no geometry, the geometry lacks a node, or motions are weighted sums of
-    the degrees of freedom.
+    ignored, and so are rotations of nodes in another program's mesh. Return None if the model has no geometry, the
+    geometry lacks a node, or motions are weighted sums of the degrees of freedom.
     """
     if model.geometry is None:
         return None

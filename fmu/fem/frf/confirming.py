@@ -122,9 +122,9 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
 
 
 def _direct_error(model: FRFModel, theta: FloatArray, at: FloatArray) -> float:
-    """Return the largest FRF error at the lines with indices `at`, found by direct solves, in each line's unit.
+    """Return the largest error of the FRFs at the lines with indices `at`, compared with direct solves.
 
-    The damping is replaced by the loss factor `_LOSS`.
+    The error is in units of `Lines.unit`. The damping is replaced by the loss factor `_LOSS`.
     """
     omega = model.lines.omega[at]
     damped = model.with_damping(Damping(loss=Source(_LOSS)))

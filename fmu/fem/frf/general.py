@@ -53,7 +53,7 @@ class GeneralDamping:
 class GeneralResponses:
     """FRFs of a structure with coupled modes; parameters and methods as in `ModalResponses`.
 
-    Where the poles cannot be found accurately, the responses are solved for line by line.
+    If the poles at a parameter vector cannot be found accurately, the responses there are solved for line by line.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class GeneralResponses:
     def displacements(self, omega: FloatArray) -> ComplexArray:
         """Return displacements per unit force at each point, in basis coordinates, (n, n_points, r, n_lines).
 
-        They are NaN where a direct solve fails.
+        If a direct solve fails at one line, the displacements at this parameter vector are NaN at all lines.
         """
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)

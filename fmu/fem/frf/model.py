@@ -185,7 +185,7 @@ class FRFModel:
         return other
 
     def with_damping(self, damping: Damping) -> FRFModel:
-        """Return the same reduced structure with other damping."""
+        """Return a copy of the model that has other damping and the same reduced block."""
         other = copy(self)
         other.damping, other.n_values = damping, damping.n_values
         return other.on(self.block)

@@ -99,7 +99,8 @@ class ProportionalDamping:
     def _ratio_of(self, r: int) -> IntArray:
         """Return, for each of the r modes, the index in `ratios` of its damping ratio, shape (r,).
 
-        Rigid-body modes have the first ratio, which has no effect because their ω is 0.
+        Rigid-body modes have the first ratio, which has no effect because their ω is 0. All indices are −1 if
+        there are no ratios.
         """
         return np.clip(np.arange(r) - self.n_rigid, 0, len(self.ratios) - 1)
 
@@ -162,8 +163,8 @@ class ProportionalDamping:
         """Return the divided differences C_rs of c and E_rs of h between all modes, each of shape (n, r, r).
 
         For two modes with the same ratio, C is exact even if their eigenvalues are almost equal. For two modes
-        with different ratios and equal eigenvalues the divided difference does not exist; they are treated as if
-        their ratios were equal.
+        with different ratios, the divided difference does not exist if the eigenvalues are equal. If they are
+        almost equal, the ratios are therefore treated as equal.
         """
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         total = omega[:, :, None] + omega[:, None]

@@ -1,10 +1,10 @@
 """Training of a reduced basis for FRFs, from modes and responses at points in the parameter box.
 
 The basis contains the modes in the frequency band, and the undamped responses to unit forces at all points, at
-some frequencies in the band. These responses include the contribution of all higher modes, so no residual term
-is missing. Forces are applied at both the drive and the response points. The error of an FRF is therefore a
-product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential
-Equations*, chapter 3).
+a few frequencies up to the band's upper end. These responses include the contribution of all higher modes, so no
+residual term is missing. Forces are applied at both the drive and the response points. The error of an FRF is
+therefore a product of two small errors (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial
+Differential Equations*, chapter 3).
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def _truncate(
 ) -> ReducedBlock:
     """Return the block reduced to the fewest basis directions that meet the tolerance at all `points`.
 
-    If no smaller number meets it, all directions are kept.
+    If no smaller number meets it, all but negligible directions are kept.
 
     The directions come from a proper orthogonal decomposition of the responses at `points`, in the energy norm of
     A. The responses are weighted by the square roots of the error units, because an FRF error is a product of two
