@@ -110,7 +110,10 @@ class MissingFileError(ArgumentError, FileNotFoundError):
 
 
 class _ByName(type):
-    """Stands in for a class imported only for type checking. It recognises instances by their class name."""
+    """Metaclass of stand-ins for classes that are imported only for type checking.
+
+    A stand-in recognises instances by the name of their class or of a base class.
+    """
 
     def __instancecheck__(cls, instance: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(instance).__mro__)
@@ -139,7 +142,7 @@ def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
     """Wrap a function or class so that every call checks its arguments against their annotations.
 
     An invalid argument raises a ValueError ``name: must be … (got …)``. A missing or unexpected argument raises a
-    TypeError, as usual in Python.
+    TypeError, as usual in Python. Arguments without an annotation, ``*args`` and ``**kwargs`` are not checked.
     """
     if inspect.isclass(door):
         door.__init__ = check_arguments(door.__init__)  # type: ignore[method-assign]
@@ -177,7 +180,10 @@ def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> 
 
 
 def takes_old_names[Door: type](**present: str) -> Callable[[Door], Door]:
-    """Return a class decorator that also accepts arguments by their old names, with an `OldNameWarning`."""
+    """Return a class decorator with which the constructor also takes keyword arguments by their old names.
+
+    `present` maps each old name to the present one. An old name causes an `OldNameWarning`.
+    """
 
     def decorate(door: Door) -> Door:
         init = door.__init__  # type: ignore[misc]

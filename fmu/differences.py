@@ -13,7 +13,7 @@ def both_sides(
     """Return the points on both sides of each centre along every coordinate, and the distances between them.
 
     A point outside the bounds is moved to the boundary. If the centre itself is outside, the point farther outside
-    is replaced by the centre.
+    is replaced by the centre, and the other stays where it is.
 
     Parameters
     ----------

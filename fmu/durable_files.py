@@ -11,7 +11,7 @@ _DIGEST = 64  # hexadecimal digits of SHA-256
 
 
 class DamagedError(ValueError):
-    """Raised if a file's content has changed since it was written, or if the file is missing."""
+    """Raised if a file's content is not as it was written, or if the file cannot be read."""
 
 
 def write_durably(path: Path, content: bytes | memoryview) -> None:

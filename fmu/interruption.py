@@ -38,7 +38,7 @@ class _Stop:
         self.before: dict[int, _Handler | int | None] = {}
 
     def listen(self, number: int) -> None:
-        """Install the handler for a signal, and store the previous handler."""
+        """Install the handler for a signal, and store the handler that it replaces."""
         self.before.setdefault(number, signal.signal(number, self.hear))
 
     def wait_no_longer(self) -> None:
@@ -54,7 +54,11 @@ class _Stop:
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal: request a stop after the current step, or interrupt at once."""
+        """Handle a signal.
+
+        The first signal in an `interruptible` block requests a stop after the current step. Any other interrupts
+        at once, or at the end of a `shielded` block.
+        """
         first, self.asked = not self.asked, True
         if first and self.polling:
             print("Stopping after the current step; interrupt again to stop at once.", file=sys.stderr, flush=True)

@@ -202,7 +202,7 @@ def _digits(value: float) -> int:
 def share(part: float, digits: int = 2) -> str:
     """Format a fraction as a percentage: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    The percentage has `digits` significant digits, or more if its complement would otherwise have fewer than
+    The percentage has up to `digits` significant digits, or more if its complement would otherwise have fewer than
     `digits` - 1. It is never written as a power of ten. A fraction that is not finite gives a dash.
     """
     if not math.isfinite(part):

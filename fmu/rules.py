@@ -31,7 +31,10 @@ class OwnRule:
 
 
 class Numbers:
-    """The type in rules for ArrayLike and arrays: values that NumPy converts to numbers, except text and bool."""
+    """The type in rules for ArrayLike and arrays: values that NumPy converts to real numbers.
+
+    Text, None and booleans are not accepted.
+    """
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -
 
 
 def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
-    """Return a test's measured data as table cells, keyed by column."""
+    """Return a test's measured data as table cells, keyed by column. The cell of a missing value is empty."""
     import numpy as np
 
     frequencies = np.asarray(test.data.frequencies_hz).tolist()
@@ -193,7 +193,7 @@ def _echo_new(found: pd.DataFrame) -> None:
 
 
 def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Diagnosis) -> None:
-    """Print a warning if slopes are extrapolated, or if the draws are not reliable."""
+    """Print a warning if new tests are outside the range of a covariate, or if the draws are not reliable."""
     from fmu.posterior.joint.varies.covariates import known_values
 
     for name in dict.fromkeys(role.where for role in problem.roles if role.kind == "slope"):

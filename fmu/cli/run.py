@@ -54,7 +54,10 @@ run. When pages are written, nearly all new objects are small and in use."""
 def _option[Command: Callable[..., object]](
     name: str, kind: click.ParamType | type | None, text: str, **more: Any
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds an option with the default of `fmu.sample`'s argument, if there is one."""
+    """Return a decorator that adds an option.
+
+    If `fmu.sample` has an argument of this name with a default, the option has the same default.
+    """
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
         more |= {"default": default, "show_default": True}

@@ -54,11 +54,12 @@ def sample_problem(
     report: Report | None,
     speaks: bool,
 ) -> Sampled:
-    """Sample a problem with every requested sampler that has not finished yet, and write each sampler's results.
+    """Sample a problem with every requested sampler, and write each sampler's results.
 
-    The maxima are printed as soon as they are found, and a sampler's table and verdict as soon as its draws are
-    complete. Certificates and predictions of left-out modes need further solves and follow later. If the draws of
-    a surrogate are made exact, the model's maxima are printed at the end.
+    A sampler that has already finished is not run again; its trace is read. The maxima are printed as soon as they
+    are found, and a sampler's table and verdict as soon as its draws are complete. Certificates and predictions of
+    left-out modes need further solves and follow later. If the draws of a surrogate are made exact, the model's
+    maxima are printed at the end.
 
     Raises
     ------
@@ -67,7 +68,7 @@ def sample_problem(
     TooManyFailuresError
         If a larger fraction of a sampler's solves failed than allowed.
     OSError
-        If a file cannot be written.
+        If a file cannot be read or written.
     """
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable

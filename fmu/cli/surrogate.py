@@ -104,7 +104,7 @@ def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Save the hash of the solves that a run's surrogate learnt from; return the run's options with this hash.
+    """Save the hash of the solves that a run's surrogate learnt from; return the problem and options with it.
 
     If a run is resumed with more solves, its surrogate is new. A message is then printed, and all saved draws from
     the earlier surrogate are removed.

@@ -49,7 +49,8 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
     Each end of an interval is followed by its Monte Carlo standard error. The last column says what determines
     each value, such as data or prior, if known. Rows of parameters that the data did not inform are dimmed. Losses
-    between groups of tests have a separate table (`fmu.cli.damage.echo_losses`).
+    between groups of tests have a separate table (`fmu.cli.damage.echo_losses`), and scores of single tests are
+    only counted.
     """
     from fmu.analysis.information import information
     from fmu.analysis.trace.reading import is_loss, told_names
@@ -91,7 +92,7 @@ def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
 def echo_comparison(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], *, with_verdicts: bool = True
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
-    """Print a table with one column per sampler, the verdicts if requested, and warnings about the model.
+    """Print a table with one column per sampler, the verdicts if requested, and whether the model fits the data.
 
     If there are several samplers, also print whether they agree, and their costs relative to the baseline.
 

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
-    """Yield a callback that draws one bar per phase, or None if there is neither a notebook nor a terminal."""
+    """Yield a callback that draws bars, one for each phase and group of chains, in a notebook or on a terminal.
+
+    Yield None if there is neither.
+    """
     from fmu.progress.displays import NotebookBars, SuccessiveBars
 
     if in_notebook():

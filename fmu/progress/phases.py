@@ -43,6 +43,7 @@ class Phase:
         Number of steps known so far.
     report : Report or None
     notes : tuple of Note
+        Callbacks that receive the progress; see `tell`.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class Phase:
             self._report(self.name, self.done, self.total, {"solves": self.solves, **elapsed, **self.said})
 
     def end(self) -> None:
-        """Report the phase as complete if it was reported and ends early, or took long and was not reported."""
+        """Report the phase as complete, unless it was so reported before or took less than `AT_ONCE_S`."""
         is_long = time.monotonic() - self._began >= AT_ONCE_S
         if (self._is_told and self.done < self.total) or (is_long and not self._is_told):
             self.total = self.done = max(self.done, 1)
@@ -180,7 +181,10 @@ def by_parts[Found](
 
 
 def count_solves(n: int = 1, *, with_gradients: bool = False) -> None:
-    """Count `n` solves of the model, for this process and for the current phase."""
+    """Count `n` solves of the model, for this process and for the current phase.
+
+    `with_gradients` says whether the solves also gave exact gradients.
+    """
     _Count.solves += n
     _Count.gradients += n if with_gradients else 0
     under_way = _phase.get()

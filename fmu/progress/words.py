@@ -1,4 +1,4 @@
-"""Text and JSON for progress reports, with numbers in short form, and a stream that writes lines."""
+"""Format progress reports as text or JSON, with short numbers, and write lines to a stream."""
 
 from __future__ import annotations
 
@@ -63,7 +63,10 @@ def number(value: float) -> str:
 
 
 def as_json(value: object) -> str:
-    """Convert a value to JSON text. Non-finite numbers become null, and objects unknown to JSON become text."""
+    """Convert a value to JSON text.
+
+    Numbers that are not finite become null. NumPy numbers become ordinary numbers, and other objects text.
+    """
     return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 
 

@@ -148,7 +148,7 @@ def unpacked_state(payload: bytes) -> SavedState:
 
 
 def numbered_files(directory: Path, kind: str) -> list[tuple[int, Path]]:
-    """Return the files of one kind in a directory, such as ``state-000007``, sorted by number."""
+    """Return the files or directories of one kind in a directory, such as ``state-000007``, sorted by number."""
     matches = ((re.fullmatch(rf"{kind}-(\d+)", path.name), path) for path in directory.glob(f"{kind}-*"))
     return sorted((int(match[1]), path) for match, path in matches if match)
 

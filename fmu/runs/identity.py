@@ -58,7 +58,7 @@ class Identity:
     def check(self, directory: Path) -> None:
         """Raise ValueError if the directory contains another run, or the same run with other package versions.
 
-        A damaged identity file is ignored, because every saved state also contains the hash of its run.
+        A missing or damaged identity file is ignored, because every saved state also contains the hash of its run.
         """
         try:
             found = Identity.read(directory)

@@ -95,9 +95,9 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove this process's notes from a directory. Errors are ignored.
+    """Remove this process's notes from a directory, and ignore errors.
 
-    Otherwise notes remain only if a process is killed.
+    A process that is killed leaves its notes behind.
     """
     with suppress(OSError):
         for name in (PHASE, FILE):

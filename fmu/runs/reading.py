@@ -35,12 +35,12 @@ class Progress:
     total : int or None
         Total number of steps in the phase.
     kept_s : float or None
-        Time in s since the last save.
+        Time in s since the last save; for all groups together, since the last save of any group.
     accept : float
         Fraction of accepted moves in the phase.
     rhat, ess : float
-        Largest R-hat and smallest effective sample size of any parameter, from all groups' draws; NaN in the
-        progress of a single group.
+        Largest R-hat and smallest bulk ESS of any parameter, from all groups' draws; NaN in the progress of a
+        single group.
     solves, failed : int
         Numbers of all solves and of failed solves, including warm-up.
     solves_per_s : float
@@ -173,7 +173,7 @@ class GroupReader:
         self._read: dict[tuple[str, str], _Steps] = {}
 
     def read(self) -> tuple[KeptGroup | None, list[str]]:
-        """Return the group and a list of messages about damaged files. The group is None if no state is intact."""
+        """Return the group and messages about damaged files. The group is None if there is no intact state."""
         damaged: list[str] = []
         found = self._last_state(damaged)
         if found is None:

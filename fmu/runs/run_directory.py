@@ -49,7 +49,7 @@ class RunDirectory:
         self._lock.release()
 
     def abandon(self) -> None:
-        """Remove the folder ``checkpoints`` if the run cannot be carried out, unless the folder contains draws."""
+        """Remove the folder ``checkpoints`` and release the lock, unless the folder contains draws."""
         if not any(self.folder.glob("*/*/state-*")):
             self.end_run()
 
@@ -75,7 +75,10 @@ class RunDirectory:
             to.unlink(missing_ok=True)
 
     def finish_sampler(self, sampler: str, problem: KeptProblem) -> None:
-        """Record that a sampler's trace has been written, and remove its checkpoint."""
+        """Record that a sampler's trace has been written, and remove its checkpoint.
+
+        `problem` must list the sampler among those that have finished.
+        """
         for directory in (self.path, self.folder):
             problem.save(directory)
         shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)

@@ -168,7 +168,7 @@ class WatchServer(ThreadingHTTPServer):
             self._open.release()
 
     def finish_request(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a request. Ignore the error if the client has closed the connection."""
+        """Answer a request. Ignore the error if the client has closed the connection or is silent for too long."""
         with suppress(ConnectionError, TimeoutError):
             super().finish_request(request, client_address)
 
@@ -245,7 +245,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "There is no such page.")
 
     def do_POST(self) -> None:
-        """Stop the run, unless the request was sent by a different page."""
+        """Stop the run if the address ends in ``stop``, unless a different page sent the request."""
         origin = self.headers.get("Origin")
         if not self._is_admitted() or (origin is not None and not self._is_from_here(origin)):
             return

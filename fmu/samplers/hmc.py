@@ -51,8 +51,9 @@ class HamiltonianMonteCarlo(LocalSampler):
         Number of leapfrog steps per trajectory; required if `step_size` is given.
     jitter : float
         Each trajectory's step size is drawn uniformly within ± this fraction of the step size, to avoid resonance.
-    inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
-        Inverse mass matrix M⁻¹, or its diagonal; the identity if it is neither given nor learnt.
+    inverse_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
+        Inverse mass matrix M⁻¹, its diagonal, or one value for the diagonal; the identity if neither given nor
+        learnt.
     target_accept : float
         Acceptance rate for which the step size is tuned; raised to at least `SHORT_STEPS` if trajectories still
         diverge at the end of warm-up.

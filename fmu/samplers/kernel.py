@@ -59,8 +59,7 @@ class Info:
     log_prob : ndarray, shape of `accepted`
         Log-density at the position where the step ended.
     n_solves : ndarray of int, shape of `accepted`
-        Density evaluations within the bounds (one eigenproblem each) that the step took, including those for
-        gradients.
+        Density evaluations within the bounds that the step took, including the evaluations for gradients.
     n_gradients : ndarray of int, shape of `accepted`
         Gradients that the step took. An exact gradient costs the density's `solves_per_gradient` (1 by default), a
         central-difference gradient ``2 ndim`` solves.

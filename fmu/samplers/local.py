@@ -32,7 +32,7 @@ class LocalSampler(Sampler):
     def take_covariance(self, covariance: FloatArray) -> Self:
         """Return a copy whose steps are adapted to a covariance, shape (ndim, ndim).
 
-        Settings that already specify the steps are returned unchanged, and so are all settings by default.
+        The base class returns `self`, as derived classes do if the settings already specify the steps.
         """
         return self
 

@@ -29,7 +29,7 @@ class BentGaussians:
 
     Each b_i is a quadratic polynomial in the t_j with j > i. The columns of A are the principal axes, shortest
     first. A short axis therefore curves along the longer ones, and a Gaussian can follow a thin curved sheet or
-    thread. The map from z to t is triangular, so its Jacobian is the product of the sd_i.
+    thread. The map from z to t is triangular, so its Jacobian determinant is the product of the sd_i.
 
     Attributes
     ----------

@@ -102,7 +102,8 @@ class MixtureMove(Move):
     ) -> tuple[FloatArray, FloatArray]:
         """Return candidates x* for the walkers x, and the log acceptance factors log q(x)/q(x*).
 
-        If no mixture can be fitted to the other walkers, the candidates and factors are emcee's stretch moves.
+        The mixture q is the frozen one or, if there is none, is fitted to the other walkers. If that is
+        impossible, the candidates and factors are emcee's stretch moves.
 
         Parameters
         ----------

@@ -242,7 +242,7 @@ def _effective_size(weight: FloatArray) -> FloatArray:
 
 
 def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> Mixture:
-    """Fit a mixture to a log-density, or return `start` if the fit is not known to be better.
+    """Fit a mixture to a log-density, or return `start` if the points are too few to trust the fit.
 
     A quadratic fitted to hardly more points than it has coefficients can be far off between them. If points are
     few, fits to each half must therefore suit the other half better, on average, than `start` does. If `is_known`,

@@ -35,7 +35,7 @@ class Quadratic:
         The point u₀, and the gradient g.
     log_prob : float
     hessian : ndarray, shape (ndim, ndim)
-        The negative Hessian H, positive semidefinite.
+        The negative Hessian H. Proposals clip its eigenvalues if it is not positive definite.
     covariance : ndarray, shape (ndim, ndim), optional
         Covariance of the points to which the quadratic was fitted; u₀ is then their weighted mean.
     """

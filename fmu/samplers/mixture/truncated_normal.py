@@ -20,7 +20,8 @@ class SequentialNormal:
     With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal distribution with mean μ_i
     and variance 1, truncated where u_i would leave its bounds, given the previous z_j (Geweke, Hajivassiliou and
     Keane). The means μ are Botev's minimax tilting (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio
-    of the Gaussian to the density q of the draws. q(u) is known for any μ.
+    of the Gaussian to the density q of the draws. They are 0 if there are no bounds, or if the tilting cannot be
+    computed. q(u) is known for any μ.
 
     The most restricted coordinate comes first. Each next coordinate is the most restricted one, given the expected
     values of the previous coordinates (Gibson, Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3). On the
