@@ -22,6 +22,8 @@ MACHINERY = ("tests/validation/kept.py", "tests/results/studies.py", "tests/resu
 _TEXT = r'"""(?:(?!""")[\s\S])*"""'
 _DOCSTRING = re.compile(rf"(^[ \t]*[rR]?{_TEXT}[ \t]*$)|{_TEXT}", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
+_AT_RUN_TIME = "import_module("
+_QUOTED = re.compile(r'"(fmu(?:\.\w+)+)"')
 _PUBLIC = re.compile(r"\bfmu\.(\w+)")
 _STUB = re.compile(r"^from \.([\w.]*) import (\w+) as \w+$", re.MULTILINE)
 NOT_READ = (".pyc", ".png", ".nc")
@@ -90,10 +92,14 @@ def _reached(root: Path, modules: Iterable[str]) -> list[Path]:
 
 @cache
 def _leads_to(root: Path, path: Path) -> frozenset[Path]:
-    """Return the files that a file imports from, and those with which its packages start."""
+    """Return the files that a file imports from, and those with which its packages start.
+
+    A file that imports what it finds out at run time leads to all modules beside and below it.
+    """
     above = (parent / "__init__.py" for parent in path.parents if root in parent.parents)
     imported = (_file_of(root, name) for name in _imported(root, path))
-    return frozenset(one for one in (*above, *imported) if one and one.is_file())
+    beside = path.parent.rglob("*.py") if _AT_RUN_TIME in path.read_text(encoding="utf-8") else ()
+    return frozenset(one for one in (*above, *imported, *beside) if one and one.is_file())
 
 
 @cache
@@ -113,7 +119,8 @@ def _file_of(root: Path, module: str) -> Path | None:
 @cache
 def _imported(root: Path, path: Path) -> frozenset[str]:
     """Return what a file imports. Names of a package with a stub come from the modules that the stub names."""
-    text, names = path.read_text(encoding="utf-8"), set()
+    text = path.read_text(encoding="utf-8")
+    names = {*_QUOTED.findall(text)}
     for module, parts, whole in _IMPORT.findall(text):
         names.add(whole or module)
         names |= {f"{module}.{name}" for name in re.findall(r"\w+", re.sub(r" as \w+", "", parts))}

@@ -68,6 +68,15 @@ def test_a_module_brings_the_first_lines_of_its_packages_and_their_stubs(project
     ]
 
 
+@pytest.mark.parametrize(
+    ("call", "room"), [('name = "fmu.report.page"', "report"), ('import_module(f"fmu.fem.{name}")', "fem")]
+)
+def test_imports_at_run_time_are_followed(project, call, room):
+    beam = {"fmu/fem/beam.py": f"E = 1.0\n{call}\n"}
+    edit = {"fmu/report/page.py": "title = 1\n", "fmu/fem/plate.py": "t = 1.0\n"}
+    assert changed(project(1, **beam), project(2, **beam, **edit)) == [room]
+
+
 def test_a_package_leads_where_its_main_module_does(project, tmp_path):
     project(1, **{"tests/study/__init__.py": "", "tests/study/__main__.py": STUDY})
     (tmp_path / "1" / "fmu" / "tests" / "study.py").unlink()
