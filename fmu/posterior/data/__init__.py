@@ -1,4 +1,5 @@
 """Measured data: modal data, frequency covariances, repeated tests, and frequency response functions.
 
-Reading order: modal_data, covariance, repeated; frf_data, then the folder frf.
+Reading order: covariance, repeated, modal_data, expected; the folder frf, frf_data, read_frf, held_out_lines,
+picked_modes.
 """

@@ -46,7 +46,7 @@ class FRFData:
     frequencies_hz : ndarray, shape (n_lines,)
         Line frequencies in ascending order. They need not be evenly spaced. A line at 0 Hz is dropped.
     values : ndarray of complex, shape (n_frfs, n_lines)
-        One FRF per row. Missing values, which are not used, are NaN or 0 (afterwards NaN).
+        One FRF per row. NaN or 0 marks a missing value, which is not used; zeros are replaced by NaN.
     drives, responses : tuple of (place, direction)
         Node and direction of the force, and of the response, in each FRF. The direction is x, y, z, rx, ry or rz,
         with or without a minus.
@@ -75,9 +75,9 @@ class FRFData:
     Raises
     ------
     ValueError
-        If the shapes differ, the frequencies do not ascend, an FRF has no values, two FRFs have the same points,
-        an sd is negative or infinite, a coherence is not from 0 to 1, only one of `coherence` and `averages` is
-        given, the band is empty, or no line is used.
+        If the shapes differ, the frequencies do not ascend, a place or direction is invalid, an FRF has no values,
+        two FRFs have the same points, an sd is negative or infinite, a coherence is not from 0 to 1, only one of
+        `coherence` and `averages` is given, the band is empty, or no value is used.
     """
 
     frequencies_hz: ArrayLike
@@ -130,7 +130,7 @@ class FRFData:
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
     def _check_lines(self, notes: list[str]) -> None:
-        """Append notes about lines without values. Raise ValueError if an FRF has no values or no line is used."""
+        """Append notes on missing values and sds. Raise ValueError if an FRF or the selection is invalid."""
         missing = np.isnan(np.asarray(self.values))
         notes += check_rows(self.labels, missing)
         if self.band is not None and not 0.0 <= self.band[0] < self.band[1]:
@@ -254,7 +254,7 @@ class FRFData:
 
     @cached_property
     def used(self) -> BoolArray:
-        """Mask of the values used, (n_frfs, n_lines): in `use` and `band`, not missing, and with an sd above 0."""
+        """Mask of the values used, (n_frfs, n_lines): in `use` and `band`, not missing, with any sd above 0."""
         there = self._chosen & np.isfinite(np.asarray(self.values))
         sd = self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
@@ -375,7 +375,7 @@ class FRFData:
         return identify(self._spectra, self.power, n, reference, least_mpc)
 
     def doubts(self) -> tuple[str, ...]:
-        """Return warnings that the FRFs may have the wrong kind, polarity or position, one sentence each.
+        """Return warnings that the FRFs may have the wrong kind, polarity or position, or too uncertain an sd.
 
         The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
         that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that an sd comes from few hits

@@ -1,4 +1,5 @@
 """Model discrepancy: errors that occur because the model is wrong, in addition to measurement errors.
 
-Reading order: embedded, modes, latent, model_errors, likelihood. The last uses curvature, draws and frequencies.
+Reading order: embedded, modes, latent, model_errors, likelihood (which uses curvature, draws and frequencies),
+given_errors.
 """

@@ -34,13 +34,13 @@ _START, _MOST_CORRELATED = 0.3, 0.999
 
 
 class Setting(NamedTuple):
-    """A setting: a known number or, if `number` is not negative, an inferred error sd with that index."""
+    """A known number or, if `number` is not negative, the inferred error parameter with that index."""
 
     fixed: float
     number: int = -1
 
     def at(self, noise: FloatArray) -> FloatArray:
-        """Return the setting's values, shape (n,), for the inferred error sds `noise` (n, n_noise)."""
+        """Return the setting's values, shape (n,), for the inferred error parameters `noise` (n, n_noise)."""
         return noise[:, self.number] if self.number >= 0 else np.full(len(noise), self.fixed)
 
     def as_dict(self) -> dict[str, Plain]:
@@ -154,7 +154,8 @@ class Discrepancy:
         ----------
         parameters : sequence of Parameter
         index : callable
-            Takes an inferred τ or correlation as a Parameter and returns its index among the inferred error sds.
+            Takes an inferred τ or correlation as a Parameter and returns its index among the inferred error
+            parameters.
 
         Raises
         ------
@@ -237,7 +238,7 @@ class EmbeddedScatter:
 
     @classmethod
     def none(cls, p: int) -> EmbeddedScatter:
-        """Return a scatter object for p parameters in which no parameter scatters."""
+        """Return an `EmbeddedScatter` of p parameters, none of which scatters."""
         return cls(("",) * p, np.zeros(p, dtype=bool), np.ones(p), np.zeros(p), np.full(p, -1))
 
     def scale(self, values: FloatArray) -> FloatArray:

@@ -104,12 +104,12 @@ class ScatteredFrequencies:
         return np.where(self._relative, values**2, self._size_squared)
 
     def _tau_squared(self, noise: FloatArray) -> FloatArray:
-        """Return each parameter's squared scatter τ², shape (n, p)."""
+        """Return each parameter's squared scatter τ², shape (n, p), or (1, p) if all τ are known."""
         total = self._fixed
         for d, count in self._counts.items():
             total = total + noise[:, d, None] ** 2 * count
         return np.asarray(total)
 
     def _error_variances(self, noise: FloatArray) -> FloatArray:
-        """Return the measurement variances σ², shape (n, n_modes)."""
+        """Return the measurement variances σ², shape (n, n_modes), or (1, n_modes) if they are known."""
         return self._term.spread.variance(noise) if self._known is None else self._known

@@ -25,7 +25,7 @@ from fmu.posterior.priors.base import Normal
 from fmu.types import FloatArray, IntArray
 
 _STEP = 1e-4
-"""Step of the differences of residuals, in units of the parameters; their error is of the order of its square."""
+"""Step of the central differences of residuals, in units s of the parameters; their error is of order step²."""
 
 
 def with_errors_as_parameters[Problem: Posterior](problem: Problem) -> Problem:
@@ -123,7 +123,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return ExpandedErrors(self, rows.residuals, own, common, step, self._test, len(values))
 
     def sizes(self, noise: FloatArray) -> FloatArray:
-        """Return the standard deviations of the latent errors, (n, n_errors), in units of parameters and modes.
+        """Return the latent errors' standard deviations, (n, n_errors), in the units of `ModelErrors.variances`.
 
         A standard deviation is zero if the variance is negative, which occurs if a correlation is out of bounds.
         """
@@ -131,7 +131,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return np.sqrt(np.maximum(np.concatenate([np.tile(own, self._n_groups), common], axis=1), 0.0))
 
     def errors_at(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the latent errors in units of parameters and modes, (n, m, P) and (n, C).
+        """Return z of the used modes, (n, m, P), and w, (n, C), in the units of `ModelErrors.variances`.
 
         `noise`, (n, n_noise), has the inferred standard deviations followed by the latent errors.
         """
@@ -143,17 +143,17 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
 class ExpandedErrors:
     """The residuals of m rows at b points near one theta. They are linear in the latent errors.
 
-    There are b = 1 + 2 P points: first theta, then theta with each parameter increased in turn, then theta with
-    each parameter decreased in turn.
+    There are b = 1 + 2 p points: first theta, then theta with each of the p parameters increased in turn, then
+    theta with each parameter decreased in turn. A parameter is changed in all tests at once.
 
     Attributes
     ----------
     likelihood : LikelihoodGivenErrors
     residuals : ndarray, shape (b, m, k)
         The residuals without latent errors.
-    own, common : ndarray, shapes (b, m, k, n_own) and (b, m, k, C)
+    own, common : ndarray, shapes (b, m, k, P) and (b, m, k, C)
         The residuals due to unit errors.
-    step : ndarray, shape (m, P)
+    step : ndarray, shape (m, p)
         The step by which each parameter is changed.
     test : ndarray of int, shape (m,)
         Index of each row's test.
@@ -169,10 +169,10 @@ class ExpandedErrors:
     n_tests: int
 
     def quadratic(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each test's slope (n, n_tests, P) and information (n, n_tests, P, P), given the latent errors.
+        """Return each test's log-likelihood gradient (n, n_tests, p) and information (n, n_tests, p, p).
 
         `noise`, (n, n_noise), has the inferred standard deviations followed by the latent errors. The measurement
-        standard deviations are the ones at the expansion point.
+        standard deviations stay at the values for which the residuals were expanded.
         """
         z, w = self.likelihood.errors_at(noise)
         r = self.residuals - np.einsum("bmkp,nmp->nbmk", self.own, z) - np.einsum("bmkc,nc->nbmk", self.common, w)

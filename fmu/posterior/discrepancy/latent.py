@@ -23,7 +23,7 @@ import numpy as np
 from fmu.types import FloatArray, IntArray
 
 _MOST_SQUARES = 1e14
-"""Largest sum of a row's squared residuals (in standard deviations) at which the density is accurate to 0.01."""
+"""Largest sum of a row's squared residuals (in standard deviations) at which the log-density is accurate to 0.01."""
 
 
 class Slopes(NamedTuple):
@@ -122,7 +122,7 @@ class LatentErrors:
         return np.asarray(0.5 * (squares - square + np.linalg.slogdet(Q)[1]))
 
     def squares(self) -> FloatArray:
-        """Return the sum of each row's squared residuals, whitened given the rows before it, shape (n, m)."""
+        """Return each row's sum of squared residuals, whitened given the rows before it, shape (n, m)."""
         quadratic = self._grown(self._groups.quadratic)
         if not self.common.shape[-1]:
             return np.asarray(quadratic[..., 0, 0])
@@ -157,7 +157,7 @@ class LatentErrors:
             Means. For z, each group's last row has the mean given all rows; earlier rows have the mean given only
             some of them.
         of_z, of_both, of_w : ndarray, shapes (n, m, P, P), (n, m, P, C) and (n, C, C)
-            Covariances of z, of z with w, and of w.
+            Covariances of z, of z with w, and of w; for z, the last rows count as above.
         """
         of_z, mean = self._covariance, self._groups.mean
         n, C = len(self.residuals), self.common.shape[-1]
@@ -185,10 +185,11 @@ class LatentErrors:
         return self._groups.mean[..., 0], self._groups.mean[..., 1:], self._covariance
 
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the whitened residuals S^(−½) r, shape (n, m, k), and their derivatives, shape (n, m, k, N).
+        """Return the residuals whitened to unit covariance, (n, m, k), and their derivatives, (n, m, k, N).
 
-        `slopes` are the derivatives of r. The root is symmetric, so that each residual keeps its meaning. For a
-        group's matrix A with AᵀA = VΛVᵀ, the root is I − A V h(Λ) VᵀAᵀ with h(λ) = (1 − 1/√(1 + λ))/λ.
+        `slopes` are the derivatives of r. Each group's residuals are multiplied by the symmetric root S^(−½), so
+        that each residual keeps its meaning. For a group's matrix A with AᵀA = VΛVᵀ, the root is I − A V h(Λ) VᵀAᵀ
+        with h(λ) = (1 − 1/√(1 + λ))/λ. All residuals are then whitened for the common errors in the same way.
         """
         X = np.concatenate([self.residuals[..., None], self.common, slopes], axis=3)
         X = X - self.loads @ self._half(self._sum(np.swapaxes(self.loads, 2, 3) @ X))[:, self.last]
@@ -338,7 +339,8 @@ class KnownErrors(LatentErrors):
 def _half_root(gram: FloatArray) -> FloatArray:
     """Return V h(Λ) Vᵀ for Gram matrices VΛVᵀ, shape (…, P, P); see `LatentErrors.whiten` for h.
 
-    It is computed as h(λ) = (1 − 1/√(1 + λ))/λ = 1/(s (1 + s)) with s = √(1 + λ).
+    It is computed as h(λ) = (1 − 1/√(1 + λ))/λ = 1/(s (1 + s)) with s = √(1 + λ). Entries of the Gram matrices
+    that are not finite count as 0.
     """
     values, V = np.linalg.eigh(np.where(np.isfinite(gram), gram, 0.0))  # LAPACK fails at NaN
     s = np.sqrt(1.0 + np.maximum(values, 0.0))

@@ -1,4 +1,4 @@
-"""Likelihood with model discrepancy, which is the same for all data on a mode."""
+"""Likelihood with a model discrepancy, which is the same in all tests of a structure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fmu.posterior.errors.slopes import chain_prediction, residuals_of_term, wit
 from fmu.posterior.joint.layout import Layout
 from fmu.types import Chain, FloatArray, IntArray, Plain
 
-_COMPLEX_STEP = 1e-30  # relative; a complex step subtracts nothing, so it may be as small as numbers allow
+_COMPLEX_STEP = 1e-30  # relative; a complex step has no cancellation errors, so that it may be tiny
 
 
 class DiscrepantLikelihood(ModalLikelihood):
@@ -36,7 +36,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     Parameters that scatter are θ + s τ z_g in mode g. To first order in τ, the mode's residuals (of frequency and
     shape in all tests) are Gaussian, with covariance I + J T² Jᵀ in measurement sds and T = diag(s τ). All tests
-    share z_g: model error does not average out. A mode's term in a later test is conditional on the earlier tests.
+    share z_g: model error does not average out. A mode's term is conditional on earlier terms that share errors.
 
     Parameters
     ----------
@@ -127,10 +127,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._with_quantities(terms + shared, theta)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood terms, and the derivatives of their sum through each mode, (n, n_used, ndim).
+        """Return the log-likelihood terms, and the derivatives of their sum through each term, (n, n_terms, ndim).
 
-        Row i contains the derivatives through the prediction of mode i in its test. This is the gradient of term i
-        unless the mode was measured in several tests.
+        Row i of a mode contains the derivatives through its prediction in its test. This is the gradient of term i
+        unless terms are coupled (`couples_modes`).
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
@@ -146,7 +146,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        With the residuals' covariance S, the information on the parameters is JᵀS⁻¹J, and the information on error
+        The information on the parameters is JᵀS⁻¹J, with S as in `residuals_and_slopes`. The information on error
         sds and τ is Fisher's. The derivatives of S with respect to the parameters are neglected.
         """
         seen, exact = self._observed_with_curvature(theta)
@@ -168,8 +168,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the whitened residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        Both are multiplied by S^(−½), where S is the covariance of a mode's residuals in all tests or, without a
-        `chain`, in each test alone.
+        S is the covariance of the residuals. With several tests and no `chain`, S is the covariance of a mode's
+        residuals in each test alone.
         """
         seen = self.observed(theta, True)
         with np.errstate(all="ignore"):
@@ -243,7 +243,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with a random discrepancy added; ValueError if theta is None."""
+        """Return frequencies, Hz, plus a random discrepancy; see `Likelihood`. ValueError if theta is None."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -286,7 +286,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.linearise(terms or self.terms_of, seen, self._noise(theta), self.of_used)
 
     def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> LatentErrors:
-        """Build the `LatentErrors` for the residuals. With `by_test`, rows of several tests share no errors."""
+        """Build the `LatentErrors` for the residuals. With `by_test` and several tests, no rows share errors."""
         group = self._used if by_test else self.group[self._used]
         found = self.errors.latent(rows, self._values(theta)[:, self._test], self._noise(theta), group)
         if by_test and self.n_tests > 1:
@@ -295,7 +295,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of the frequencies, Hz, by their own and by common errors, (n, n_modes, …) each."""
+        """Return the frequencies' derivatives with respect to the latent errors; see `ModelErrors.in_hz`."""
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
@@ -385,7 +385,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def _whiten(
         self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None, latent: LatentErrors
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives multiplied by S^(−½), in the order of `labels`."""
+        """Return the whitened residuals and their derivatives, in the order of `labels`."""
         n, noise = len(theta), self._noise(theta)
         chained = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         with np.errstate(all="ignore"):

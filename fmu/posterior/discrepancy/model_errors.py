@@ -1,4 +1,4 @@
-"""Model discrepancy in the residuals of the modes: error variances and the corresponding derivatives."""
+"""The complete model discrepancy in the residuals of the modes: variances of its errors, loadings, derivatives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fmu.posterior.errors.slopes import residuals_of_term
 from fmu.types import FloatArray, IntArray, Plain
 
 type Take = Callable[[FloatArray, int], FloatArray]
-"""A function that picks the rows of some modes from an array along an axis."""
+"""A function that selects the used modes from an array along an axis."""
 
 
 class Linearised(NamedTuple):
@@ -31,7 +31,7 @@ class Linearised(NamedTuple):
     slopes : ndarray, shape (n, m, k, p)
         Derivatives with respect to the parameters in the test; p = 0 if the prediction has no derivatives.
     own, common : ndarray, shapes (n, m, k, Q) and (n, m, k, C)
-        Derivatives with respect to the mode's own errors, and to the errors that all modes share.
+        Derivatives with respect to the errors of modes (`ModeErrors`): the mode's own, and the shared ones.
     """
 
     residuals: FloatArray
@@ -61,7 +61,10 @@ class Change(NamedTuple):
     by_noise: FloatArray
 
     def of(self, rows: Linearised) -> FloatArray:
-        """Return the first-order change in each row's log-density, (n, m), if all slopes in `rows` change."""
+        """Return the first-order change in each row's log-density, (n, m), caused by changes of all slopes.
+
+        `rows` contains the changes; its residuals are ignored.
+        """
         pairs = ((self.by_slope, rows.slopes), (self.by_own, rows.own), (self.by_common, rows.common))
         found = [np.einsum("nmkp,nmkp->nm", by, x) for by, x in pairs if x.shape[-1]]
         return np.asarray(sum(found, np.zeros(self.by_residual.shape[:2])))
@@ -74,7 +77,7 @@ class ModelErrors:
     Attributes
     ----------
     scatters : tuple of EmbeddedScatter
-        At least one.
+        At least one (`EmbeddedScatter.none` if no parameter scatters), all for the same parameters.
     modes : tuple of ModeErrors
     """
 
@@ -181,7 +184,7 @@ class ModelErrors:
 
         Returns
         -------
-        own, common : ndarray, shapes (n, m, P) and (n, m, C)
+        own, common : ndarray, shapes (n, m, E + Q) and (n, m, F + C)
             With respect to the mode's own errors, and to the errors that all modes share.
         """
         variances, parts = self.variances(noise), (list[FloatArray](), list[FloatArray]())
@@ -230,7 +233,7 @@ class ModelErrors:
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
     def units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals due to a mode's own unit errors, (n, m, k, P), and to common ones, (n, m, k, C)."""
+        """Return the residuals due to unit errors: own ones (n, m, k, E + Q), common ones (n, m, k, F + C)."""
         if not len(self.scattered):
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
@@ -242,10 +245,10 @@ class ModelErrors:
     ) -> FloatArray:
         """Return the Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
 
-        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, and Cov is the error covariance given
-        the residuals. Between different modes, and for the same mode in different tests, only the common errors
-        are counted. If there are q sensors, each has the weight (q − 1)/q, because the shape's scale is free.
-        `take` selects the rows of `latent`.
+        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, F are the loadings, and Cov is the
+        covariance of the latent errors given the residuals. Between different modes, and for the same mode in
+        different tests, only the discrepancy is counted. A residual of a shape at q sensors has the weight (q −
+        1)/q, because the shape's scale is free. `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
         _, _, of_z, of_both, of_w = latent.given_residuals()

@@ -3,7 +3,7 @@
 The frequency of mode i has the relative error σ (√ρ w + √(1 − ρ) z_i) with standard normal w and z_i. The part
 √ρ w is common to all modes, so that the errors of two modes have the correlation ρ. The shape of mode i, whose
 largest component is 1, has the errors σ_s L z at the sensors. LLᵀ has the correlations exp(−d/ℓ) between sensors
-at a distance d that measure in the same direction; all other sensors are independent.
+at a distance d that measure in the same direction; other pairs of sensors are independent.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class ModeErrors:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the residuals caused by unit errors, (n, n_modes, k, n_own) and (n, n_modes, k, n_common).
 
-        They are 0 for residuals of other quantities than frequencies and shapes.
+        They are 0 for residuals of quantities other than frequencies and shapes.
         """
         own, common = [], []
         for term in terms:

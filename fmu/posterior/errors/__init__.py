@@ -1,6 +1,7 @@
-"""Error models: distributions of the differences between measured and computed quantities, in one file each.
+"""Error models, which are distributions of the differences between measured and computed quantities; likelihoods.
 
-Reading order: base, noise; frequency, student, shape, mac; quantities; likelihood, mixture; residual.
+Reading order: base, noise; frequency, student, shape, mac; quantities; slopes, surrogate_variance, likelihood,
+mixture; residual.
 """
 
 from fmu.posterior.errors.base import ErrorModel
@@ -18,4 +19,4 @@ ERROR_MODELS: dict[str, type[ErrorModel]] = {
     "mass": MassErrors,
     "static": StaticErrors,
 }
-"""Error models by the value of ``of`` in a problem file; the other keys are arguments (`fmu.config.errors`)."""
+"""Error models, keyed by ``of`` in a problem file. The table's other keys are arguments (`fmu.config.errors`)."""

@@ -35,7 +35,7 @@ class ErrorModel(Protocol):
         ----------
         data : ModalData
         index : NoiseIndex
-            Takes a parameter that the error model infers; returns its index among the problem's inferred ones.
+            Takes a parameter that the error model infers; returns its index among all inferred error parameters.
 
         Raises
         ------
@@ -49,7 +49,7 @@ class ErrorModel(Protocol):
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if `data` supply a standard deviation for these errors, which `sd` would override."""
+        """Return True if `data` give standard deviations or a covariance of these errors; `sd` overrides them."""
         ...
 
 
@@ -62,11 +62,11 @@ class Evaluated(NamedTuple):
     ----------
     terms : ndarray, shape (n, n_modes)
     by_frequency : ndarray, shape (n, n_modes), or None
-        With respect to the mode's frequency in the projected prediction (`ErrorTerm.project`), 1/Hz.
+        With respect to the mode's frequency after `ErrorTerm.project`, 1/Hz (dimensionless if whitened there).
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
         With respect to the components of the projected mode shape.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
-        With respect to each inferred standard deviation, keyed by its index.
+        With respect to each inferred error parameter, keyed by its index.
     by_frequency_variance, by_shape_variance : ndarray, shapes as by_frequency and by_shape, or None
         With respect to the variances of the computed frequencies and shapes, if the model is uncertain.
     """
@@ -86,7 +86,7 @@ class Residuals(NamedTuple):
     ----------
     values : ndarray, shape (n, n_modes, q)
     by_frequency : ndarray, shape (n, n_modes, q), or None
-        In 1/Hz.
+        In 1/Hz; dimensionless if `ErrorTerm.project` whitens the frequencies.
     by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
     """
 
@@ -103,7 +103,7 @@ class ErrorTerm:
     spread : Spread
         Error variances.
     needs_shapes, of_frequencies : bool
-        Whether these are errors in mode shapes, and whether they are in frequencies, as `simulate` requires.
+        Whether these are errors in mode shapes, or in frequencies. `simulate` requires errors in frequencies.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends only on the standard deviations.
     is_chi_square : bool
@@ -129,7 +129,7 @@ class ErrorTerm:
 
     @property
     def is_known(self) -> bool:
-        """Whether no standard deviation is inferred."""
+        """Whether the errors are Gaussian with known standard deviations, none of them inferred."""
         return not self.spread.sizes
 
     @property
@@ -138,10 +138,10 @@ class ErrorTerm:
         return False
 
     def among(self, used: IntArray | None) -> ErrorTerm:
-        """Return the error model for the `used` modes (indices), whose terms then sum to their joint log-density.
+        """Return the error model whose terms for the `used` modes (indices) sum to the modes' joint log-density.
 
-        None selects all modes. The caller drops other modes' terms. A subclass overrides this if terms are
-        coupled.
+        None selects all modes. The caller drops the terms of other modes. By default, return `self`, as each term
+        depends on one measured mode only.
         """
         return self
 
@@ -173,7 +173,7 @@ class ErrorTerm:
         raise NotImplementedError
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return `residuals`, with derivatives projected onto the residuals' space; by default, unprojected."""
+        """Return `residuals` with derivatives projected onto the residuals' subspace; by default, unprojected."""
         return self.residuals(seen, noise)
 
     def change_of_slopes(
@@ -181,7 +181,7 @@ class ErrorTerm:
     ) -> tuple[FloatArray | None, FloatArray | None, FloatArray]:
         """Differentiate a function of the residuals' slopes with respect to the parameters.
 
-        The slopes are the derivatives of `residuals_within`.
+        The slopes are the derivatives in `residuals_within` with respect to the parameters.
 
         Parameters
         ----------
@@ -206,11 +206,11 @@ class ErrorTerm:
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz; by default, none."""
+        """Return frequencies (n, n_modes), Hz, plus the random errors with inferred sds; by default, unchanged."""
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd of each frequency given the others, (n, n_modes), Hz; requires `of_frequencies`."""
+        """Return mean and sd, (n, n_modes), Hz, of each measured frequency given the others; see `simulate`."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
@@ -308,7 +308,7 @@ class Likelihood:
         return len(self.noise)
 
     def easier(self) -> list[Likelihood]:
-        """Return likelihoods with the same parameters but fewer maxima, for a search. The easiest comes first."""
+        """Return likelihoods with the same parameters but fewer maxima, the easiest first; by default, none."""
         return []
 
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
@@ -320,7 +320,7 @@ class Likelihood:
         raise NotImplementedError
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta (n, ndim), with the shapes if an error model needs them."""
+        """Return the predicted modes at theta (n, ndim), with shapes if needed and derivatives if `gradient`."""
         raise NotImplementedError
 
     @property
@@ -335,10 +335,10 @@ class Likelihood:
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the modes' log-likelihood terms, and the squared residuals under each `chi_square` error model.
+        """Return the modes' log-likelihood terms, and each mode's sum of squared normal scores.
 
-        The terms have the shape (n, n_used), the squared residuals (n, n_kinds, n_used). If the computed
-        frequencies, (n, n_modes) in Hz, are given and sufficient, the model is not solved again.
+        The terms have the shape (n, n_used), the sums (n, n_kinds, n_used), one for each `chi_square` error model.
+        If the computed frequencies, (n, n_modes) in Hz, are given and sufficient, the model is not solved again.
         """
         terms = self.terms(theta)
         return terms, np.empty((len(terms), 0, terms.shape[1]))
@@ -354,7 +354,7 @@ class Likelihood:
         raise NotImplementedError
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural)."""
+        """Return the residuals (n, n_residuals) and their derivatives (n, n_residuals, number of parameters)."""
         raise NotImplementedError
 
     @property
@@ -367,7 +367,7 @@ class Likelihood:
         raise NotImplementedError
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations."""
+        """Return errors in computed frequencies, (n_modes,), Hz, divided by measurement standard deviations."""
         raise NotImplementedError
 
     def simulate(
@@ -382,7 +382,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz; by default, none."""
+        """Return frequencies (n, n_modes), Hz, plus the random errors with inferred sds; by default, unchanged."""
         return frequencies
 
     def with_discrepancy(
@@ -396,5 +396,5 @@ class Likelihood:
         raise NotImplementedError
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the names and settings as a dict of plain Python types."""
+        """Return the names and settings of the error models as a dict of plain Python types."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""Error models for natural frequencies: the paper's model (eq. 4 with the normaliser 5) and common variants."""
+"""Error models for natural frequencies: the paper's model (eq. 4, normalised as in eq. 5) and common variants."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Kind = Literal["absolute", "relative", "eigenvalue"]
 @check_arguments
 @dataclass(frozen=True)
 class FrequencyErrors:
-    """Gaussian frequency errors, independent from mode to mode unless the data have a covariance.
+    """Gaussian frequency errors, independent from mode to mode unless `sd` defaults to a covariance in the data.
 
     Attributes
     ----------
@@ -67,8 +67,8 @@ class FrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if standard deviations or weights are missing or do not fit the data, an inferred standard
-        deviation has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
+        Raise ValueError if there are no standard deviations, they or the weights do not fit the data, an inferred
+        one has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
         sd = self.sd
@@ -219,7 +219,7 @@ class FrequencyTerm(ErrorTerm):
         return rng.standard_normal(shape)
 
     def _add_errors(self, frequencies: FloatArray, error: FloatArray) -> FloatArray:
-        """Return the measured frequencies, (n, n_modes), in Hz, of computed frequencies with the errors ε."""
+        """Return measured frequencies with random errors: f + ε or, for eigenvalues, f/√(1 + max(ε, −0.99))."""
         if self.kind == "eigenvalue":
             # the measured frequency with this error ε, which exists only for ε above −1
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
@@ -239,7 +239,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), in Hz."""
+        """Return frequencies (n, n_modes), in Hz, plus only the random errors with inferred sds."""
         if not self.spread.sizes:
             return frequencies
         sd = np.sqrt(replace(self.spread, fixed=np.zeros_like(self.spread.fixed)).variance(noise))
@@ -329,7 +329,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the prediction with z = L⁻¹ε in place of the frequencies, and L⁻¹ times their derivatives."""
+        """Return the prediction with frequencies replaced by z = L⁻¹ε, and derivatives and variances to match."""
         slopes, variance = seen.frequency_slopes, seen.frequency_variance
         by_variance = seen.frequency_variance_slopes
         squares = self._inverse_root**2  # the model's own errors of z are correlated; only variances are used

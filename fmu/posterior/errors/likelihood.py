@@ -1,4 +1,4 @@
-"""Likelihood of the measured modes as a sum over error models, with known or inferred standard deviations."""
+"""Log-likelihood of the measured modes as a sum over error models with known or inferred standard deviations."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, with which terms are computed fastest. Return None if the model is uncertain."""
+        """Return `error`, which computes the terms fastest; None if it is None or the model is uncertain."""
         return None if self.model.is_uncertain else self.error
 
     @property
@@ -126,7 +126,7 @@ class ModalLikelihood(Likelihood):
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's sum of squared normal scores, (n, n_kinds, n_used), by `chi_square` model."""
+        """Return sums of the used modes' squared normal scores by `chi_square` model, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -167,7 +167,7 @@ class ModalLikelihood(Likelihood):
         return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return errors divided by their sds, (n, n_residuals), and slopes, (n, n_residuals, n_structural)."""
+        """Return the residuals of the used modes and quantities, and their derivatives; see `Likelihood`."""
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def terms_and_residuals(
@@ -185,7 +185,7 @@ class ModalLikelihood(Likelihood):
         return tuple(label for term in self.terms_of for label in term.labels(modes)) + others
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement standard deviations.
+        """Return errors in computed frequencies, (n_modes,), Hz, divided by measurement standard deviations.
 
         Return 0 for modes that are not used, and for all modes if no error model is for frequencies.
 
@@ -218,7 +218,7 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz.
+        """Return frequencies (n, n_modes), Hz, plus only the random errors with inferred sds.
 
         Nothing is added if no error model is for frequencies. Otherwise, raise ValueError if standard deviations
         are inferred and `noise` (n, n_noise) is not given.
@@ -263,7 +263,7 @@ class ModalLikelihood(Likelihood):
         return None
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the names and settings as a dict of plain Python types."""
+        """Return the names and settings of the error models as a dict of plain Python types."""
         found = self._of_modes_as_dict()
         return found | ({"quantities": [term.as_dict() for term in self.quantities]} if self.quantities else {})
 
@@ -288,7 +288,7 @@ class ModalLikelihood(Likelihood):
         return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta (n, ndim), with shapes if an error model needs them."""
+        """Return the predicted modes, with shapes if an error model needs them or the model is uncertain."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the modes, differentiated by theta or, if `chain` is None, by the parameters of their tests."""
+        """Return the modes, differentiated by the parameters of their own tests or, with a `chain`, by all."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

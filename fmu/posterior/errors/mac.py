@@ -84,7 +84,16 @@ class MACErrors:
 
 @dataclass(frozen=True, eq=False)
 class MACTerm(ErrorTerm):
-    """Errors 1 − MAC of the modes. `unit` contains the measured unit-length shapes, (n_sensors, n_modes)."""
+    """Errors 1 − MAC of the modes.
+
+    Attributes
+    ----------
+    unit : ndarray, shape (n_sensors, n_modes)
+        Measured unit-length shapes.
+    spread : Spread
+    groups : tuple of tuple of int
+        Indices of the modes in each group that is compared as a subspace.
+    """
 
     unit: FloatArray
     spread: Spread

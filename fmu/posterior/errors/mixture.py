@@ -1,4 +1,4 @@
-"""Likelihood for soft pairing: a mixture over candidate modes. It does not jump as one-to-one pairing does."""
+"""Likelihood for soft pairing: a mixture over candidate modes, without one-to-one pairing's jumps at veerings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Pairs(NamedTuple):
     Attributes
     ----------
     log_weight, log_density : ndarray
-        log w_ik and log p(measured mode i | candidate k).
+        log w_ik and log p(measured mode i | candidate k). The latter is set to 0 where the weight is 0.
     of : list of Evaluated
         The pairs' log-densities from each error model, with n·k rows.
     """
@@ -58,7 +58,7 @@ class MixtureLikelihood(ModalLikelihood):
     Parameters
     ----------
     model : PairedStructure
-        A model with soft pairing; a function of the leading parameters.
+        A model with soft pairing. Its parameters come first in theta.
     data : ModalData
     errors : sequence of ErrorModel
         Error models whose errors are independent from mode to mode.
@@ -66,7 +66,8 @@ class MixtureLikelihood(ModalLikelihood):
     Raises
     ------
     ValueError
-        If an error model's errors depend on several modes (a covariance, or groups of modes).
+        If an error model's errors depend on several modes (a covariance, or groups of modes), and as for
+        `ModalLikelihood`.
 
     Notes
     -----
@@ -194,7 +195,7 @@ class MixtureLikelihood(ModalLikelihood):
 
 
 def _best(score: FloatArray) -> IntArray:
-    """Return the index (n, m) of each measured mode's candidate with the highest `score` (n, k, m)."""
+    """Return the index (n, m) of each measured mode's candidate with the highest `score` (n, k, m); NaN is −∞."""
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Error standard deviations that are known, inferred together with the parameters, or both."""
+"""Standard deviations of errors: known, inferred together with the parameters, or a combination of both."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from fmu.posterior.parameters import Parameter, parameter_in
 from fmu.types import FloatArray, IntArray, Plain
 
 NoiseIndex = Callable[[Parameter], int]
-"""A function that returns the index of an inferred parameter of the errors among all of the problem's."""
+"""A function that returns the index of an inferred error parameter among all inferred error parameters."""
 
 OLD_NAMES = {"discrepancy": "model_sd"}
-"""Present names of error model arguments, keyed by old name."""
+"""Current names of renamed error model arguments, keyed by old name."""
 
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:
@@ -47,8 +47,8 @@ class Spread:
     fixed : ndarray, any shape
         Known standard deviations; 0 if all are inferred.
     sizes : mapping of int to ndarray of the same shape
-        The factor size_k for each error, by which the inferred standard deviation with index k is multiplied,
-        keyed by k.
+        The factors size_k, one per error, by which the inferred standard deviation noise_k is multiplied, keyed by
+        k.
     """
 
     fixed: FloatArray
@@ -114,7 +114,7 @@ def spread(
     Raises
     ------
     ValueError
-        If a known standard deviation is not positive and finite or does not have the shape of the errors, an
+        If a known standard deviation is not positive and finite or cannot be broadcast to the shape of `size`, an
         inferred standard deviation has a negative lower bound or the name of another parameter, or neither `sd`
         nor `model_sd` is given.
     """

@@ -76,7 +76,7 @@ class QuantityErrors:
     test: str | None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Raise ValueError, because these errors are bound to the structure by `bind_structure`, not to modes."""
+        """Raise ValueError, because these errors belong to a structure (see `bind_structure`), not to modes."""
         raise ArgumentError("error", f"{type(self).__name__} must be given to a problem of a SeparableModel")
 
     def n_errors(self, data: ModalData) -> int:
@@ -212,7 +212,8 @@ class StaticErrors(QuantityErrors):
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
         """Bind the static displacement to a structure; see `QuantityErrors.bind_structure`.
 
-        Raise ValueError if the place or direction of the load or of the displacement is not free to move.
+        Raise ValueError if the place or direction of the load or of the displacement is not free to move, the
+        stiffness is not positive definite, or the displacement from a reduced stiffness does not converge.
         """
         at = self.force if self.at is None else self.at
         for key, sensor in (("force", self.force), ("at", at)):

@@ -30,7 +30,7 @@ class ModalResidual(Likelihood):
     ----------
     model : SeparableModel
     data : ModalData
-        With sensors, each at another degree of freedom, and shapes.
+        With shapes, and with sensors at different degrees of freedom.
     reference : ndarray, shape (n_parameters,)
         θ_ref, usually the parameters before updating.
     beta : float or array_like, shape (n_modes,)
@@ -40,8 +40,8 @@ class ModalResidual(Likelihood):
     ------
     ValueError
         If no shapes were measured, a sensor is not a degree of freedom, two sensors are at the same one, a β is
-        not positive and finite, the number of β is wrong, or the model is a mechanism when the degrees of freedom
-        at the sensors are fixed.
+        not positive and finite, the number of β is wrong, or, at θ_ref, the model is a mechanism when the degrees
+        of freedom at the sensors are fixed.
 
     Notes
     -----
@@ -95,7 +95,7 @@ class ModalResidual(Likelihood):
         return self.of_used(terms), self.of_used(slopes, 1)
 
     def why_not_finite(self, theta: FloatArray) -> str:
-        """Return the reason why the terms are not finite at theta, shape (n_parameters,)."""
+        """Return why the terms are not finite at theta (n_parameters,). Whether they are finite is not checked."""
         try:
             self._at(theta[None])
         except SingularCondensationError:

@@ -73,7 +73,7 @@ class ShapeErrors:
         return ShapeTerm(unit, spread("shape errors", sd, self.model_sd, size, index))
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the total number of shape components in all used modes."""
+        """Return the total number of shape components in all used modes; 0 if no shapes were measured."""
         return 0 if data.shapes is None else len(np.asarray(data.shapes)) * sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
@@ -131,9 +131,9 @@ class ShapeTerm(ErrorTerm):
         return Residuals(values, None, by_shape)
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals and their derivatives; see `ErrorTerm`. The residuals are orthogonal to ψ = Λ^½φ.
+        """Return the residuals and their derivatives, projected onto the space orthogonal to ψ = Λ^½φ.
 
-        The derivatives with respect to φ are −a (I − ψψᵀ/ψᵀψ) Λ^½.
+        The residuals lie in this space. Their projected derivatives with respect to φ are −a (I − ψψᵀ/ψᵀψ) Λ^½.
         """
         root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
         u, psi = root * self.unit.T, root * np.swapaxes(seen.shapes, 1, 2)
@@ -178,7 +178,7 @@ class ShapeTerm(ErrorTerm):
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
         """Return the Fisher information on the inferred sds; see `ErrorTerm.information`.
 
-        The free scale reduces it by the factor 1 − 1/q at q sensors.
+        Because the scale is free, it is multiplied by 1 − 1/q at q sensors.
         """
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 

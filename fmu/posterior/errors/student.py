@@ -136,7 +136,7 @@ class StudentTerm(FrequencyTerm):
         return Residuals((root * error)[..., None], np.broadcast_to(slopes, error.shape)[..., None])
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return the Fisher information of the `used` modes on the inferred quantities, (n, n_noise, n_noise).
+        """Return the Fisher information of the `used` or all modes on the error parameters, (n, n_noise, n_noise).
 
         See Lange, Little & Taylor (1989), section 5. The terms that couple scales and degrees of freedom are
         neglected.

@@ -21,7 +21,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.types import FloatArray
 
-_STEP = 1e-5  # of an inferred standard deviation, relative
+_STEP = 1e-5  # of the differences in an inferred error parameter, relative to its value
 
 
 def evaluated_with_variance(
@@ -30,8 +30,8 @@ def evaluated_with_variance(
     """Return an error model's log-density terms for a prediction with variances; see `ErrorTerm.evaluate`.
 
     The derivatives with respect to the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a
-    constant h (Gauss–Newton). The derivatives with respect to inferred standard deviations are central differences
-    of the correction.
+    constant h (Gauss–Newton). For inferred error parameters, the derivatives of the correction are central
+    differences.
     """
     part, residuals = term.evaluate(seen, noise, True), term.residuals(seen, noise)
     terms = part.terms + _correction(part, residuals, seen)

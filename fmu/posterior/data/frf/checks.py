@@ -165,7 +165,7 @@ def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_
     ----------
     f : ndarray, shape (n_lines,), Hz
     chosen, used : ndarray of bool, shape (n_frfs, n_lines)
-        Values that the user chose and that are not missing, and those among them that are used.
+        Values that the user chose and that are not missing; values that are used, because they also have an sd.
     name, of_sd : str
         Name of the attribute that chose the lines, and name of the attribute that gives the standard deviation.
 

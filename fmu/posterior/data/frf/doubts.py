@@ -70,7 +70,9 @@ class _Signs(NamedTuple):
 
 
 def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
-    """Return warnings that FRFs may have the wrong kind, polarity or position. Each warning is one sentence.
+    """Return warnings that FRFs may have the wrong kind, polarity or position, or that their sds are uncertain.
+
+    The power at driving points is judged only if the kind of the FRFs is not in doubt.
 
     Parameters
     ----------
@@ -158,7 +160,7 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
 
 
 def _power_doubts(spectra: Spectra, k: int) -> list[str]:
-    """Return one sentence for each driving point at which the force seems to extract power.
+    """Return a warning for each driving point at which the force seems to extract power.
 
     This is reported if it occurs at `_FEWEST_WRONG` lines or more, and at least the share `_WRONG_SHARE` of the
     clear lines.
@@ -191,9 +193,9 @@ def _power_doubts(spectra: Spectra, k: int) -> list[str]:
 
 
 def _reciprocal_doubts(spectra: Spectra) -> list[str]:
-    """Return one sentence for each pair of reciprocal FRFs that differ by more than their errors explain.
+    """Return a warning for each pair of reciprocal FRFs that differ by more than their errors explain.
 
-    Without standard deviations, a median difference of `_RECIPROCAL` or more is reported.
+    Without standard deviations, a median relative difference of `_RECIPROCAL` or more is reported.
     """
     row = {pair: i for i, pair in enumerate(spectra.axes)}
     values, told = spectra.receptance * spectra.signs, []

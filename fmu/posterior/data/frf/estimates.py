@@ -35,9 +35,9 @@ class Estimate(NamedTuple):
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """Return the FRFs' standard deviations |H| √((1 − γ²)/(2 γ² n)); infinite where γ² = 0.
+    """Return the standard deviations |H| √((1 − γ²)/(2 γ² n)) of the FRFs' real (and imaginary) parts.
 
-    All arrays have the shape (n_frfs, n_lines).
+    They are infinite where γ² = 0. All arrays have the shape (n_frfs, n_lines).
     """
     with np.errstate(divide="ignore"):
         return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)))

@@ -233,7 +233,7 @@ def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
 
 
 def lines_near(curve: FloatArray, i: int) -> slice:
-    """Return the slice of lines around the peak at line i on which the curve exceeds `_NEAR` of the peak's height.
+    """Return the slice of lines around the peak at line i, up to the lines below `_NEAR` of its height.
 
     The slice has at most `_MOST_LINES` and, if possible, at least three lines on each side.
     """
