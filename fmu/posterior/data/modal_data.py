@@ -187,8 +187,8 @@ class ModalData:
         Raises
         ------
         ValueError
-            If a mode has too few values, a mode's values do not scatter, the tests are too few for a joint scatter,
-            a shape's MAC with the mean is below 0.5, or an argument of the class is invalid.
+            If a mode has too few values, a mode's values do not scatter, the tests are too few for a joint
+            scatter, a shape's MAC with the mean is below 0.5, or an argument of the class is invalid.
         """
         tests = RepeatedTests(frequencies, scatter)
         mean, sd, covariance = tests.mean()

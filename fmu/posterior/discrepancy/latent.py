@@ -23,7 +23,7 @@ import numpy as np
 from fmu.types import FloatArray, IntArray
 
 _MOST_SQUARES = 1e14
-"""Largest sum of a row's squared residuals (in standard deviations) at which the log-density is accurate to 0.01."""
+"""Largest sum of a row's squared residuals (in sds) at which the log-density is accurate to 0.01."""
 
 
 class Slopes(NamedTuple):

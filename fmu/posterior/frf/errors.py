@@ -67,7 +67,7 @@ class FRFErrors(QuantityErrors):
         test's parameters. Damping parameters and an inferred `model_sd` that have the same name in several tests
         are the same quantity. Gain errors and delays belong to their test.
     places : mapping of str to node, optional
-        Maps place names in the data, the damping and the channels to nodes of the model.
+        Maps place names in the data and the damping to nodes of the model.
 
     Raises
     ------

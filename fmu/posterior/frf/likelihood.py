@@ -218,7 +218,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta (n, ndim), with the shapes if an error model needs them."""
+        """Return the predicted modes at theta (n, ndim), with shapes if needed and derivatives if `gradient`."""
         return self.modal.observed(self._of_modes(theta), gradient)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
@@ -228,7 +228,7 @@ class FRFLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood terms and the squared residuals of any used modes; see `Likelihood`."""
+        """Return any used modes' log-likelihood terms and sums of squared normal scores; see `Likelihood`."""
         if self.is_of_frfs_alone:
             return np.zeros((len(theta), 0)), np.zeros((len(theta), 0, 0))
         return self.modal.terms_and_misfit(self._of_modes(theta), frequencies)
@@ -299,7 +299,7 @@ class FRFLikelihood(Likelihood):
         return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Convert errors in computed frequencies, (n_modes,) in Hz, to measurement sds; 0 if no mode is used."""
+        """Return errors in computed frequencies, (n_modes,), Hz, divided by sds; 0 if no mode is used."""
         if self.is_of_frfs_alone:
             return np.zeros(len(frequencies))
         return self.modal.in_standard_deviations(frequencies, error, theta[: self._n_modal])
@@ -313,13 +313,13 @@ class FRFLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Add only the random errors whose sds are inferred to frequencies (n, n_modes), Hz."""
+        """Return frequencies (n, n_modes), Hz, plus the random errors with inferred sds."""
         return self.modal.simulate_discrepancy(rng, frequencies, noise)
 
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with a random model discrepancy added; see `Likelihood`."""
+        """Return frequencies (n, n_modes), Hz, plus any random discrepancy in the modes; see `Likelihood`."""
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

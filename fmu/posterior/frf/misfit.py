@@ -19,7 +19,7 @@ class Misfit(NamedTuple):
     weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
         w such that d(terms) = Re(w dH); None if derivatives were not requested.
     by_sd : ndarray, shape (n, n_frfs, n_lines), or None
-        Derivative with respect to the relative model error σ; None also if the variance does not depend on H or σ.
+        Derivative with respect to the relative model error σ; also None if there is no model error.
     """
 
     terms: FloatArray

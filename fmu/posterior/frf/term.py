@@ -115,7 +115,7 @@ class FRFTerm:
         return self._sd_column is None and not self._wider and not self._model_sd
 
     def frfs(self, theta: FloatArray) -> ComplexArray:
-        """Return the computed FRFs, (n, n_frfs, n_lines), in the units of the data, at the lines in use."""
+        """Return the computed FRFs with any inferred channel errors, in the data's units, (n, n_frfs, n_used)."""
         with single_thread():
             parts = [
                 self._predict(self._solve(theta[rows]), theta[rows], slice(None)) * self._power
