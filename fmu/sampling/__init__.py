@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 INITS = ("maxima", "prior", "start")
 """Values of `init` that name starting points."""
 DEFAULT_SAMPLER = "mixture"
-"""Name of the default sampler, which gave the largest ESS per evaluation in all comparisons.
+"""Name of the default sampler, whose ESS per evaluation no other sampler exceeded in any comparison.
 
 ESS per evaluation of the worst parameter, after a warm-up of 1000 steps; a gradient counts as 1.9 evaluations:
 
@@ -80,8 +80,8 @@ def sample(
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
-        default is the mixture, which gave the largest effective sample size per evaluation in all comparisons. For
-        a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests.
+        default is the mixture, whose effective sample size per evaluation no other sampler exceeded in any
+        comparison. For a posterior with populations (`fmu.JointProblem`) it is Gibbs sampling by tests.
     draws, warmup : int
         Number of retained steps, and number of warm-up steps before them. Each retained step of an ensemble gives
         one draw per walker.

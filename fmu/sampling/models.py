@@ -1,4 +1,4 @@
-"""Compare models of the same data, and sample those that have no draws yet."""
+"""Compare models of the same data. Models that have no draws yet are sampled first."""
 
 from __future__ import annotations
 

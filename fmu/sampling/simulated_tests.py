@@ -25,7 +25,7 @@ from fmu.types import FloatArray
 
 ENOUGH = 400.0
 """ESS of every parameter at which an update ends."""
-_MOST = 20  # times as many draws at most
+_MOST = 20  # largest number of draws per chain, divided by `draws`
 
 
 @check_arguments

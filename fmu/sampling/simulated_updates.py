@@ -177,7 +177,7 @@ class SimulatedTests:
         return data_frame(rows, "choice", list(self.updates))
 
     def cases(self) -> pd.DataFrame:
-        """Return a table of simulated tests and parameters with a ratio outside 0.7 to 1.4, the worst first.
+        """Return a table of the plan's tests and parameters with a ratio outside 0.7 to 1.4, worst first.
 
         The ratio is the real standard deviation divided by the expected one. It is the product of three factors. A
         ratio of NaN is listed too. The columns are:
@@ -204,7 +204,7 @@ class SimulatedTests:
         )
 
     def sentences(self) -> list[str]:
-        """Return sentences that say whether expected and real accuracy agree and, if not, why."""
+        """Return sentences that say whether expected and real accuracy of the plan agree and, if not, why."""
         ratios, cases = self.ratios(), self.cases()
         low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
         said = [

@@ -250,8 +250,8 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree, engine: Engine
     """Return the trace with certificates, modes, pairing, identifiability and the leave-one-out table added.
 
     The engine solves the full models for the certificate of a reduced model. Identifiability and the table are
-    computed only for a problem with modal data that is not hierarchical. If the problem is not an updating
-    problem, its trace is returned unchanged.
+    computed only if the problem is not hierarchical and its likelihood has residuals (`Likelihood.of_modes`). If
+    the problem is not an updating problem, its trace is returned unchanged.
     """
     from fmu.analysis.certificate import certify
     from fmu.analysis.frf.certificate import certify_frfs
@@ -331,7 +331,7 @@ def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
 def _takes_exact_gradients(trace: xr.DataTree, problem: LogDensity, settings: Sampler) -> bool:
     """Return True if the run used exact gradients whose cost exceeds the solves counted for them.
 
-    This is False for finite differences, whose solves are counted, and for a user's function that returns value
+    This is False for finite differences, whose solves are counted, and for a user's function, which returns value
     and gradient in one call.
     """
     from fmu.analysis.trace.densities import is_updating

@@ -87,7 +87,8 @@ class MovesWithErrors(MovesOfMain):
     ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray], FloatArray]:
         """Move the main parameters and the inferred error sds, and draw the model errors.
 
-        The module docstring describes the steps.
+        The module docstring describes the steps. The given `theta` (chains, ndim) includes the model errors, and
+        `terms` are the log-likelihood terms given these errors.
 
         Returns
         -------

@@ -16,8 +16,8 @@ their scores, and then the share of outliers. The rest of the step is conditiona
    time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks, alone
    given the scores, and jointly with its population given the values (`fmu.posterior.joint.conditional.in_time`).
 4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
-   If there are none for a population, or they would rarely be accepted, all populations also take random walks
-   (`fmu.posterior.joint.conditional.walks`).
+   If this cannot be done for a population, or its proposals would rarely be accepted, all populations also take
+   random walks (`fmu.posterior.joint.conditional.walks`), unless values are correlated in time.
 5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
    for once more.
 
@@ -29,7 +29,8 @@ test may have two maxima. Half of the proposals for such a test then start from 
 about the end of a Gauss–Newton step, with the information of the data at the present scores (Martin, Wilcox,
 Burstedde & Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that a draw costs three
 solves. Each solve also gives the derivatives from which the next step starts. This is not done if values are
-correlated in time, the model has a discrepancy, or gradients take extra solves.
+correlated in time, the model has a discrepancy, gradients take extra solves, or there are frequency response
+functions.
 
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
@@ -324,7 +325,7 @@ class GibbsKernel(MovesWithErrors):
     def _gain_of_tests(
         self, theta: tuple[FloatArray, FloatArray], terms: tuple[FloatArray, FloatArray], scales: FloatArray
     ) -> FloatArray:
-        """Return the growth of each test's log-density from the first theta to the second, (chains, n_tests)."""
+        """Return the increase in each test's log-density from the first theta to the second, (chains, n_tests)."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         (now, new), (terms_now, terms_new) = theta, terms
         gain = sum_by_test(terms_new - terms_now, test, len(self.problem.tests))

@@ -148,7 +148,8 @@ class MovesOfMain:
     ) -> tuple[FloatArray, Fit, dict[str, AnyArray]]:
         """Propose new dates and losses of each sudden event, and accept or reject them after a solve of all tests.
 
-        Return theta, the fit there, and statistics, which are empty if there are no events.
+        Return theta, the fit there, and statistics: the fraction of events whose proposal was accepted, or an
+        empty dict if there are no events.
         """
         given, shares = self.conditionals.scores, []
         for event in self.conditionals.events:

@@ -49,8 +49,8 @@ class Tempering(Sampler):
     Parameters
     ----------
     kernel : str or LocalSampler
-        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings. After warm-up
-        it is a tuple with settings for each of these rungs.
+        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings. If it learns
+        in warm-up, it is afterwards a tuple with settings for each of these rungs.
     temperatures : array_like, shape (rungs,), optional
         Inverse temperatures from 0 to 1; learnt in warm-up by default.
     rungs : int, optional
@@ -222,7 +222,7 @@ class LadderTuner:
 def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
     """Return inverse temperatures in ascending order.
 
-    Raise ValueError unless they are distinct, run from 0 to 1 and include both.
+    Raise ValueError unless they are distinct and run from 0 to 1, both included.
     """
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
@@ -239,7 +239,7 @@ def stages(steps: int) -> list[int]:
     """Return the lengths of the warm-up stages in steps. The ladder changes from stage to stage.
 
     Each stage but the first is about as long as all previous stages together. With fewer than 40 steps there is
-    one stage, so the ladder does not change.
+    one stage, so the ladder does not change. With 0 steps there is none.
     """
     lengths = []
     while steps >= 2 * _SHORTEST:
