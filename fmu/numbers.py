@@ -73,7 +73,8 @@ def fixed(value: float | None, places: int) -> str:
 def significant(value: float | None, digits: int = 3) -> str:
     """Format a number of unknown uncertainty with up to `digits` significant digits.
 
-    None and NaN give a dash, and infinity gives ``"∞"`` or ``"-∞"``.
+    A number below 1e7 keeps all digits before its decimal point. None and NaN give a dash, and infinity gives
+    ``"∞"`` or ``"-∞"``.
     """
     if value is None or not math.isfinite(value):
         return MISSING if value is None else _infinite(value)

@@ -25,7 +25,10 @@ class Pace:
         self._steps: deque[tuple[float, int]] = deque()
 
     def add(self, now: float, done: int, total: int) -> None:
-        """Record that `done` of `total` steps are done at time `now`, in seconds on any clock."""
+        """Record that `done` of `total` steps are done at time `now`, in seconds on any clock.
+
+        If `done` decreases, the phase has started again, and earlier reports are forgotten.
+        """
         if self._steps and done < self._steps[-1][1]:  # the phase has started again
             self._steps.clear()
         self.total = total

@@ -1,4 +1,4 @@
-"""Phases of a run other than the draws: their progress, and the number of model solves in each phase.
+"""Phases of a run other than warm-up and draws: their progress, and the number of model solves in each phase.
 
 Code that may take long opens a `phase` and calls `Phase.advance`. Models call `count_solves`. `told_to` sets the
 callbacks that receive the reports, so the functions in between need not pass them on.

@@ -11,7 +11,7 @@ from typing import TextIO
 from fmu.numbers import MISSING, fixed, significant
 
 Info = Mapping[str, str | int | float]
-"""Further items of a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``, ``group``, ``label``."""
+"""Further items of a report, by name, such as ``accept``, ``rhat``, ``ess``, ``solves_per_s`` and ``label``."""
 Report = Callable[[str, int, int, Info], None]
 """Called as ``report(phase, done, total, info)``: steps done and total steps of a phase, and further items."""
 HIDDEN = ("label", "group", "lp", "solves", "elapsed_s")

@@ -50,7 +50,7 @@ class Store:
 
     Each group has its own directory; the first is ``group-1``. Its step files ``steps-000001.h5``, … contain the
     draws in HDF5. A state file such as ``state-000007`` contains the data that the sampler needs to continue after
-    these draws, and a list of the step files with their checksums. Files are written atomically, so the directory
+    these draws, and a list of the step files with their checksums. These files are written atomically, so they
     can be read at any time. Step files that are not listed in a state are ignored, and their steps are drawn
     again. ``failures.csv`` lists the failed solves, if there are any.
 

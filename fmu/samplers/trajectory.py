@@ -379,7 +379,7 @@ class HamiltonianKernel(LocalKernel):
 
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the time at which each point reaches a bound (infinite if none), and the bound's coordinate."""
+    """Return the time at which each point meets its next bound (infinite if none), and the coordinate."""
     # coordinates move independently between bounds: t_i = (bound ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0

@@ -20,8 +20,8 @@ class Draws:
         theta, in unscaled coordinates. An ensemble has steps × walkers draws, in step-major order.
     stats : dict of str to ndarray, shape (chains, draws, ...)
         ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and the statistics that the sampler adds. Summed over
-        warm-up and draws, n_solves and n_gradients give the exact cost of the run, because the cost of the
-        starting points is added to the first step.
+        warm-up and draws, n_solves and n_gradients give the exact cost of the sampling, because the cost of
+        the starting points is added to the first step.
     """
 
     position: FloatArray

@@ -161,7 +161,7 @@ class Proposal:
     def fit_points(
         cls, position: FloatArray, log_prob: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> Proposal | None:
-        """Fit a proposal to points (n, ndim); return None if they are too few or do not span the space.
+        """Fit a proposal to points (n, ndim); return None if they are too few or the fit fails.
 
         Points with a log-probability that is not finite or far below the median are left out. A coordinate with
         two finite bounds is scaled by the distance between them; any other coordinate is scaled by the standard
