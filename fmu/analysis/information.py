@@ -217,8 +217,8 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
     """Return a sentence on the two parameters that the data separate least; empty if the data confuse none.
 
-    It is based on the draws, by the criterion of `information`. If the trace has no draws from the prior, it is
-    based on the linearised model.
+    It is based on the draws, by the criterion of `information`. If this has no result, as without draws from the
+    prior, it is based on the linearised model.
     """
     if information(trace) is None:
         pair = hardest_pair(linearised, linearised.covariance)

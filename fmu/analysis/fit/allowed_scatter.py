@@ -1,4 +1,4 @@
-"""Describe a model discrepancy (such as scatter of parameters between modes), and say when to allow for one."""
+"""Describe a model discrepancy (such as scatter of parameters between modes), and say how to allow for one."""
 
 from __future__ import annotations
 

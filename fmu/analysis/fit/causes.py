@@ -224,7 +224,10 @@ def _linear(cause: str, r: float) -> str:
 
 
 def _bent(name: str, x: FloatArray, z: FloatArray, place: float, free: bool) -> str:
-    """Describe in words how a parameter's scores z (n_tests,) depend on a covariate x, with a bend at `place`."""
+    """Describe in words how a parameter's scores z (n_tests,) depend on a covariate x, with a bend at `place`.
+
+    `free` is False if the model has a slope of the parameter in x.
+    """
     known = ~np.isnan(x)
     columns = np.stack(
         [np.ones(known.sum()), np.minimum(x[known] - place, 0.0), np.maximum(x[known] - place, 0.0)]

@@ -68,7 +68,7 @@ class Check:
 
 
 def level_of(checks: Sequence[Check]) -> float:
-    """Return an upper bound on the probability that a correct model fails any of the checks, mode shapes apart."""
+    """Return an upper bound on the probability that a correct model fails any check but those of mode shapes."""
     return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 

@@ -19,7 +19,7 @@ parts of the rest. The kinds of check are:
   Appl. Probab.* 14, 623–632). It is compared with α/2. This bound is conservative: with k parameters fitted to n
   data, Σ r² is about k plus a χ²(n − k) variable, and false alarms are rarer than α. If the standard deviation of
   an error was estimated from a few tests, the error has Student's distribution, and r is its normal score.
-- One of several tests. The statistic is Σ r² over this test's residuals alone, and the p-value is the same.
+- One of several tests. The statistic is Σ r² over this test's residuals, and p is computed in the same way.
 - Inferred standard deviations. At one posterior draw, the prior probability of a larger standard deviation is
   uniform, by the same argument, and its mean over the draws is compared with α/2. If the noise had to grow to
   absorb a misfit of the model, the check fails, provided that the prior is informative. With a wide prior it
@@ -162,7 +162,7 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Check each mode by its prediction from other modes, or by its residuals if there is none; a `Check` each."""
+    """Return a `Check` of each mode by its prediction from the other modes or, without one, by its residuals."""
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 

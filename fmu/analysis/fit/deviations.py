@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 FAR = 4.0
-"""Number of standard deviations of misfit that causes a warning; if they are correct, its probability is 6e-5."""
+"""Misfit in standard deviations that causes a warning; if they are correct, its probability is 6e-5."""
 NEAR = 0.01
 """Fraction of the frequency above which a misfit is attributed to the model, whatever the standard deviations
 are."""

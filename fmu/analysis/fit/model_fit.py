@@ -49,8 +49,8 @@ class ModelFit:
     Attributes
     ----------
     checks : tuple of Check
-        All checks that were made; a correct model fails any of them with a probability of at most
-        `fmu.analysis.fit.check.level_of`, mode shapes apart.
+        All checks that were made. A correct model fails any of them, other than those of mode shapes, with a
+        probability of at most `fmu.analysis.fit.check.level_of`.
     n_data, n_parameters : int
         Number of independent measured values used in updating, and effective number of parameters, inferred noise
         included.
@@ -58,8 +58,8 @@ class ModelFit:
         Measured quantities that no check covers, because their residuals have no known distribution; empty if
         there are none.
     scatter : tuple of str
-        Sentences on the size of the model discrepancy, one for each scatter of parameters between modes; empty if
-        the model has none.
+        Sentences on the size of the model discrepancy and its correlation between modes; empty if the model has
+        none.
     remedy : str
         How to allow for the discrepancy of a contradicted model; empty if no further remedy is known.
     """
@@ -77,9 +77,10 @@ class ModelFit:
 
         The verdict is `CONTRADICTED` if a check failed, however many parameters the model has, and `UNKNOWN` if
         there are no checks. If the data do not outnumber the parameters, the model can fit any data that its
-        priors allow, so a good fit is no evidence for it. Only a held-out mode, a population or a parameter law
-        then tests it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the checks could
-        have failed. Otherwise it is `ALLOWED` if the model has a discrepancy, and `NOT_CONTRADICTED` if not.
+        priors allow, so a good fit is no evidence for it. Only held-out modes or FRF values, a population or a
+        parameter law then test it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the
+        checks could have failed. Otherwise it is `ALLOWED` if the model has a discrepancy, and `NOT_CONTRADICTED`
+        if not.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
@@ -168,7 +169,7 @@ class ModelFit:
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
-        """Sentences that say which passed checks could have failed, and which of them test nothing.
+        """Sentences that say which passed checks could have failed, and which test nothing.
 
         They cover the checks of predictions, residuals, FRFs and mode shapes.
         """

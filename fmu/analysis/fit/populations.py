@@ -268,7 +268,11 @@ def effective_parameters(trace: xr.DataTree) -> int:
 
 
 class _Farthest(NamedTuple):
-    """The test farthest from the population mean: its index, its score, and the p-value of Grubbs's test."""
+    """The test whose score is farthest from the scores' mean.
+
+    `test` is its index, `distance` is in standard deviations of the scores, and `p` is the p-value of Grubbs's
+    test.
+    """
 
     test: int
     distance: float

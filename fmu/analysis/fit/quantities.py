@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def quantity_checks(trace: xr.DataTree, level: float) -> list[Check]:
     """Check whether the updated model reproduces each measured mass or displacement; return a `Check` for each.
 
-    The probability of an error as large as at a draw is averaged over the draws, and compared with half the level,
-    divided by the number of quantities.
+    The probability of an error at least as large as that of a draw is averaged over the draws. It is compared with
+    half the level, divided by the number of quantities.
     """
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])

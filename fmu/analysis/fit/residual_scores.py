@@ -32,7 +32,7 @@ _IN_EACH_TEST = ("mean", "test")
 
 
 def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.Dataset]:
-    """Return the trace group ``residual_scores`` in a dict.
+    """Return the trace group ``residual_scores``, with the variable ``score`` (test, parameter), in a dict.
 
     The dict is empty if every parameter scatters or has a separate value in each test, if no error model has
     residuals of modes, or if the model has a user's function, which derivatives would call again.

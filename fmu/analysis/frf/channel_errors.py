@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _EXPLAINS = 0.25
 """Largest fraction of the squared error that may remain after a channel error explains the misfit."""
 _SIMPLER = 1.1
-"""Ratio of squared errors up to which reversed polarity is preferred to a gain near minus one."""
+"""Ratio of squared errors up to which reversed polarity, the simplest error, is preferred to the best one."""
 _STEPS, _ROUNDS = 201, 4
 """Number of delays that are tried at a time, and number of searches in ever smaller intervals."""
 

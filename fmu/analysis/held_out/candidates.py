@@ -65,7 +65,7 @@ def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class PriorCandidates:
-    """The prior as an importance-sampling proposal, with weights proportional to the likelihood."""
+    """The prior as an importance-sampling proposal, for which the weights are proportional to the likelihood."""
 
     problem: UpdatingProblem
     scaled: ScaledDensity
@@ -83,7 +83,7 @@ class PriorCandidates:
 def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
     """Divide weighted draws u (n, ndim) into groups by k-means, and return a Gaussian fitted to each group.
 
-    The list is empty if there are too few distinct draws for two groups.
+    Groups with too few distinct draws are left out. The list is empty if there are too few for two groups.
     """
     from scipy.cluster.vq import kmeans2
 

@@ -68,10 +68,10 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
 
     A mode used in updating is predicted by the posterior without this mode. A mode that was not used is predicted
     by the posterior itself. The posterior without a mode comes from updating without it
-    (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k. `fmu.sample` does this and stores
-    the table in the trace, unless it would take more than half the solves of the draws and more than about five
-    seconds. The draws are then reweighted instead (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto k of the
-    weights is low.
+    (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k for the evidences with and without
+    it. `fmu.sample` does this and stores the table in the trace, unless it would take more than half the solves of
+    the draws and more than about five seconds. The draws are then reweighted instead (PSIS, Vehtari, Gelman &
+    Gabry 2017), if the Pareto k of the weights is low.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         - ``pareto_k``: Pareto shape parameter of the weights;
         - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty. It is empty,
           and the predictions are NaN, if the draws do not cover the posterior without the mode and there was no
-          refit;
+          reliable refit;
         - ``used``: whether the mode was used in updating.
 
     Raises

@@ -37,16 +37,16 @@ _WALKERS, _CANDIDATES, _EFFECTIVE = 128, 16_000, 400.0
 _TIMED = 64
 """Number of points at which a user's function is timed."""
 _STARTS, _OUTSIDE = 32, 1e-4
-"""Number of starting points in the search for maxima that candidates miss, and probability of a Gaussian beyond
-its draws."""
+"""Number of starting points in the search for maxima that candidates miss, and probability of a Gaussian outside
+the ellipsoid that contains nearly all draws."""
 
 
 def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> FloatArray | None:
     """Return draws from a leave-one-out posterior, (chains, n, ndim), SI units, or None if they do not converge.
 
-    Candidates are resampled if their weights are reliable (`_by_rounds`). Otherwise chains are run, with twice as
-    many draws each time, up to `_MOST` per chain, until R-hat and ESS of all parameters meet the limits of
-    `fmu.diagnose`.
+    Candidates are resampled, as a single chain, if their weights are reliable (`_by_rounds`) and they miss no
+    maximum. Otherwise chains are run, with twice as many draws each time, up to `_MOST` per chain, until R-hat and
+    ESS of all parameters meet the limits of `fmu.diagnose`.
 
     Parameters
     ----------

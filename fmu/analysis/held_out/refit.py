@@ -271,7 +271,8 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
 def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
     """Compare the posteriors without and with a mode, using draws `theta` (n, ndim) from a density q.
 
-    `log_p` (2, n) contains the log-probabilities without the mode, then with it.
+    `log_p` (2, n) contains the log-probabilities without the mode, then with it; `hz` (n, n_modes) the computed
+    frequencies; and `log_q` (n,) the log-density of the draws.
     """
     log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 NEEDED, NOT_NEEDED = 0.95, 0.25
 """A group needs a scatter if the probability of τ > 0 is at least the first value, and does not need it if it is
-at most the second. This probability is about the ratio of posterior to prior width, or larger."""
+at most the second. If the data favour τ = 0, this probability is about the ratio of posterior to prior width."""
 
 
 class Scatter(NamedTuple):
@@ -38,7 +38,8 @@ class Scatter(NamedTuple):
         5 %, 50 % and 95 % posterior quantiles of τ.
     prior_median : float
     needed : float
-        Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`).
+        Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`);
+        NaN if the ESS of τ is undefined.
     largest : float
         Probability that this τ is the largest when every τ is divided by its prior standard deviation; NaN if
         there is only one τ.

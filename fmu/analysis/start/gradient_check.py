@@ -103,6 +103,8 @@ class GradientCheck:
 def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     """Compare the gradient with central differences at the starting point and at two random prior draws.
 
+    Points nearer to a bound than the longest step are moved away from it.
+
     Parameters
     ----------
     problem : UpdatingProblem

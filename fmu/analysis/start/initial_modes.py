@@ -52,7 +52,8 @@ class InitialModes:
         Labels of the measured modes.
     measured_hz : ndarray, shape (n_modes,)
     modes : tuple of ComputedMode
-        Computed modes in ascending order, up to two beyond the last paired one.
+        Computed modes, in ascending order or in the order of a user's function, up to two beyond the last paired
+        one.
     mac : ndarray, shape (n_modes, n_computed), or None
         MAC between measured and computed shapes at the sensors; None if no shapes were measured.
     doubts : tuple of str
@@ -239,7 +240,11 @@ def _of_function(
 
 
 def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
-    """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes)."""
+    """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes).
+
+    `frequencies_hz` (n_modes,) are the computed frequencies, which show with the measured ones which modes are
+    close.
+    """
     sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)
     return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)

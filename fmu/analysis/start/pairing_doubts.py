@@ -73,9 +73,9 @@ def unlike(
 def close(
     labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
-    """Return warnings about computed modes that are close in frequency to a paired mode.
+    """Return warnings about neighbouring computed modes that are close in frequency, one of which is paired.
 
-    Unless modes are paired by number, close modes that move no sensor are ignored.
+    Unless modes are paired by number, a neighbour that moves no sensor is ignored.
     """
     doubts, told = [], set()
     for k, column in enumerate(paired):

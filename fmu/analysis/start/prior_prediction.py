@@ -154,9 +154,10 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
 def _noise_sd(
     problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the standard deviations of the frequency errors, (n_modes,), Hz, averaged over the prior if inferred.
+    """Return the standard deviations of the frequency errors, (n_modes,), Hz.
 
-    They are NaN if the error model has no frequency errors.
+    Unless they are known in Hz, they are computed from errors simulated at the prior draws `theta`. They are NaN
+    if the error model has no frequency errors, or if no draw was solved.
     """
     if problem.likelihood.error is not None:
         return np.asarray(problem.likelihood.error.sd)
