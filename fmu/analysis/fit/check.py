@@ -68,7 +68,7 @@ class Check:
 
 
 def level_of(checks: Sequence[Check]) -> float:
-    """Return an upper bound on the probability that a correct model fails any check but those of mode shapes."""
+    """Return an upper bound on the probability that a correct model fails any check, if none is of a mode shape."""
     return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 

@@ -103,7 +103,7 @@ def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
 
 
 def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
-    """Raise ValueError unless all traces have the same measured modes, masses and displacements, used in the same way.
+    """Raise ValueError unless all traces have the same measured modes and quantities, used in the same way.
 
     The errors must also be densities in the same unit (`_data`).
     """

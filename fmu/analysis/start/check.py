@@ -137,7 +137,7 @@ class Check:
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
-        """Return the findings as sentences: model, assumptions, warnings, pairing, gradient, identifiability, prior."""
+        """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
         said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
         said += [*self.sensor_doubts, *self.tests]
