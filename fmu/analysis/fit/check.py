@@ -68,7 +68,10 @@ class Check:
 
 
 def level_of(checks: Sequence[Check]) -> float:
-    """Return an upper bound on the probability that a correct model fails any check, if none is of a mode shape."""
+    """Return an upper bound on the probability that a correct model fails any of the checks.
+
+    It does not cover checks of mode shapes, for which no error model is stated.
+    """
     return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 
