@@ -82,7 +82,7 @@ class ExportTable(TomlTable):
 
 
 class ProblemFile(TomlTable):
-    """A problem: a model, measured modes and uncertain parameters. All values are in SI units."""
+    """A problem: a model, uncertain parameters, and measured modes or FRFs. Values are in SI units by default."""
 
     name: Name
     """Title in reports."""
@@ -254,7 +254,7 @@ class ProblemFile(TomlTable):
         return UpdatingProblem(built.model, data, given, name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the errors in measurements and in keys for several tests that can be found without the model."""
+        """Return errors in measurements, and in keys for several tests, that show without the model."""
         if self.measurement is None and self.tests is None and self._frfs is not None:
             return of_several_tests(self.parameters)
         if (self.measurement is None) == (self.tests is None):

@@ -139,9 +139,10 @@ def one_length(what: str) -> AfterValidator:
 
 @contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Within a ``with`` block, raise file reading errors as a BrokenError at the key `where`.
+    """Within a ``with`` block, raise errors in reading a file as a BrokenError at the key `where`.
 
-    These are errors in modes and FRFs, and missing or unreadable files and libraries; other errors pass.
+    These are invalid contents of a file of modes or FRFs, and missing or unreadable files and libraries. Other
+    errors pass.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Replication of the paper: both experiments with every sampler, compared with the published results.
+"""Replication of the paper: both experiments with the samplers of `fmu compare`, and the published results.
 
 Reading order: published, plan, experiment, convergence, studies/, findings, page, summary, errata, run.
 """

@@ -171,7 +171,7 @@ class Findings:
 
     @property
     def never_visited(self) -> list[str]:
-        """Samplers whose long run never visited at least one of the maxima."""
+        """Samplers whose long run is reported as never having visited some maximum."""
         return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
 
     @property

@@ -126,8 +126,8 @@ def export(
         files that it names are copied beside it.
 
         ``K.mtx``, ``M.mtx`` and ``dofs.csv``, for a structure: the stiffness and mass matrices at the exported
-        values, in Matrix Market format, and the degree of freedom in each row. If the structure's geometry is
-        known, also the updated and measured mode shapes (`fmu.report.mode_files.write_modes`).
+        values, in Matrix Market format, and the degree of freedom in each row. With one test and a
+        known geometry, also the updated and measured mode shapes (`fmu.report.mode_files.write_modes`).
 
         Input decks: each template that the problem file names, for its model or under ``[export]``, filled with
         the exported values (`fmu.formats.decks`).
@@ -141,8 +141,9 @@ def export(
     ------
     ValueError
         If the directory contains no traces, or no trace from `sampler`; if `at` is unknown, or is ``"map"`` and
-        the run found no maxima; if the problem is not the one that was sampled; if a template cannot be filled; or
-        if the export would overwrite files that fmu did not write.
+        the run found no maxima; if the problem file is missing or invalid, or not the one that was sampled; if a
+        template cannot be filled; or if `out` is a file, or the export would overwrite files that fmu did not
+        write.
     """
     directory = Path(run_directory)
     if at not in AT:

@@ -121,9 +121,9 @@ def _arrange(figure: Figure) -> None:
 
 
 def _clean(tag: str, key: str, used: set[str]) -> str:
-    """Return a tag without font names and with rounded numbers.
+    """Return a tag without font names, with rounded numbers, and with the colours of the page's scheme.
 
-    Ids in `used` get the prefix `key`; other ids are removed.
+    Ids in `used` get the prefix `key`; other ids are removed. Images are reduced to few colours.
     """
     tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
     tag = re.sub(r' d="([^"]*)"', _short_path, tag)

@@ -22,7 +22,7 @@ else:
 
 
 class CommandTable(ModelTable):
-    """A finite-element program run by fmu, which fills in the template, runs the command and reads the modes."""
+    """A finite-element program. fmu fills in its template, runs the command and reads the modes."""
 
     type: Literal["command"]
     template: FileName

@@ -22,7 +22,7 @@ _MOST_NAMES = 40
 
 
 def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
-    """Plot the structure in 3-D with its sensors, numbered in plan order. Sensors already mounted are grey.
+    """Plot a view of the structure with its sensors, numbered in plan order. Sensors already mounted are grey.
 
     Parameters
     ----------

@@ -177,12 +177,15 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
 
 
 def _time_of(trace: xr.DataTree, name: str) -> str:
-    """Return the time covariate for a parameter's damage; empty if test numbers serve as time."""
+    """Return the covariate that serves as time for a parameter's damage; empty if test numbers do."""
     return str(problem_of(trace)["by_date"][name])
 
 
 def _times(trace: xr.DataTree, name: str) -> FloatArray:
-    """Return the time of each test, shape (n_tests,), measured as for the damage of the parameter `name`."""
+    """Return the time of each test, shape (n_tests,), for the damage of the parameter `name`.
+
+    The time is a covariate or, if the damage names none, the test's number from 1.
+    """
     tests, by = problem_of(trace)["tests"], _time_of(trace, name)
     return np.array([test["covariates"][by] if by else t + 1.0 for t, test in enumerate(tests)])
 

@@ -1,4 +1,4 @@
-"""Report sections that compare samplers of one posterior by the same criterion. The baseline is emcee."""
+"""Report sections and verdicts that compare samplers of one posterior. The baseline is emcee."""
 
 from __future__ import annotations
 
