@@ -1,4 +1,4 @@
-"""The table for a whole problem file, which builds the updating problem, and its JSON schema."""
+"""The table of a whole problem file, which builds the updating problem, and the JSON schema of problem files."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 def one_length(what: str) -> AfterValidator:
     """Return a validator that rejects rows with different lengths.
 
-    Messages use `what`: each value in a row is for one mode, sensor or column, and `what` names it.
+    Its message says that each row has one value per `what`, such as "mode".
     """
 
     def check(rows: list[list[float]]) -> list[list[float]]:
@@ -153,7 +153,7 @@ def reading(where: str) -> Iterator[None]:
 
 
 class TomlTable(BaseModel):
-    """Base class for tables in the file. It rejects unknown keys and wrong types, and converts no values.
+    """Base class for tables in the file. It rejects unknown keys and values of the wrong type.
 
     The string below a key is its description in the schema that editors show (`fmu.config.problem`).
     """

@@ -39,10 +39,10 @@ def with_discrepancy(text: str, variant: str) -> str:
     text : str
         The content of a valid problem file.
     variant : str
-        A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred relative error common to all frequencies;
-        ``"modes"``, errors of this kind with a correlated part; ``"embedded"`` and ``"embedded-by-group"``,
-        scatter of the parameters over the modes. If the file has a ``[[discrepancy]]`` table of the same kind, the
-        table's other keys stay.
+        A key of `VARIANTS`: ``"none"``; ``"inferred"``, independent relative errors of the frequencies with one
+        inferred standard deviation; ``"modes"``, such errors with an inferred correlation; ``"embedded"`` and
+        ``"embedded-by-group"``, scatter of the parameters over the modes. If the file has a ``[[discrepancy]]``
+        table of the same kind, the table's other keys stay.
     """
     import tomlkit
 

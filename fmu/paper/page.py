@@ -158,7 +158,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return tables of the long runs' convergence and cost, with the cost of the paper's protocol beside it."""
+    """Return tables of the long runs' convergence and cost, with the cost of the paper's protocol."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (

@@ -82,9 +82,9 @@ class Column:
     errors : tuple of Printed
         Errors printed beside the frequencies, %.
     corrected_parameters : mapping of int to float
-        The value, keyed by index, of each misprinted parameter that reproduces the printed frequencies, SI units.
+        Values of misprinted parameters that reproduce the printed frequencies, keyed by index, SI units.
     corrected_frequencies : mapping of int to float
-        The value, keyed by index, of each misprinted frequency that reproduces the printed error, Hz.
+        Values of misprinted frequencies that reproduce the printed errors, keyed by index, Hz.
     """
 
     name: str

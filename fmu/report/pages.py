@@ -169,7 +169,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     ------
     ValueError
         If `run_directory` is not a directory, contains no traces, or contains traces of different problems; or if
-        the report would overwrite files that fmu did not write.
+        ``report`` is a file or has an invalid manifest, or files that fmu did not write would be overwritten.
     """
     directory = Path(run_directory)
     if not directory.is_dir():

@@ -31,7 +31,7 @@ class ReportedRun:
     name : str
         The trace's key in the mapping given to `runs_of`.
     trace : xarray.DataTree
-        Without the scores of populations.
+        The trace without the scores of populations.
     summary : pandas.DataFrame
         The result of ``fmu.summary(trace)``.
     diagnosis : Diagnosis

@@ -60,7 +60,8 @@ class CommandTable(ModelTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Return the model that runs the program.
 
-        Raise BrokenError if a file or the program is missing, or the template lacks a parameter.
+        Raise BrokenError if the keys are inconsistent, a file or the program is missing, or the template lacks a
+        parameter.
         """
         given = {key: value for key, value in self if key != "type"}
         try:

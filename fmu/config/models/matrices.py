@@ -180,11 +180,11 @@ class MatricesTable(ModelTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
-        """Return the matrices expanded to their common degrees of freedom, with the names of these.
+        """Return the matrices on their common degrees of freedom, and the names of these.
 
-        If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom are
-        removed if Abaqus marks them as fixed by a stiffness of 1e36 and, if there are names or a mesh, if all
-        matrices are zero there. Raise BrokenError if the matrices do not fit together.
+        If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom that
+        Abaqus fixes by a stiffness of 1e36 are removed. With names or a mesh, so are those at which all matrices
+        are zero. Raise BrokenError if the matrices do not fit together.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None

@@ -1,6 +1,6 @@
 """Repeat the experiments with a model that may be wrong.
 
-The paper's likelihood assumes that the model is correct. Here its parameters may also scatter from mode to mode
+The paper's likelihood assumes that the model is correct. Here the parameters may scatter from mode to mode
 (`fmu.posterior.discrepancy.embedded`). Each mode is predicted from the other modes, with and without scatter.
 """
 

@@ -61,7 +61,10 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 
 
 def measurement_table(plan: Plan) -> str:
-    """Return a problem file's ``[measurement]`` table with the planned sensors and placeholder values."""
+    """Return a problem file's ``[measurement]`` table with the planned sensors.
+
+    The model's predictions take the place of the measured frequencies and shapes.
+    """
     seen, modes = plan.design.found.nominal, list(plan.design.modes)
     f = seen.frequencies[0, modes]
     rows = plan.design.candidates.rows(plan.every)

@@ -36,8 +36,8 @@ def plot_traces(
 ) -> style.AxesArray:
     """Plot the chains against step number, one row per parameter and one column per trace, with warm-up shaded.
 
-    For an ensemble, one walker is shown. The axis limits fit the draws after warm-up, so the warm-up may extend
-    beyond them. Dashed lines are bounds.
+    One walker of each ensemble is shown. The axis limits fit the draws after warm-up and the published values, so
+    the warm-up may extend beyond them. Dashed lines are bounds, dotted lines are published values.
 
     Parameters
     ----------

@@ -336,7 +336,7 @@ def damage_drawing(trace: xr.DataTree) -> Markup:
 
 
 def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup, list[tuple[str, str]]]]:
-    """Return a drawing coloured by the loss probabilities, and its legend, for each state as the key.
+    """Return a drawing coloured by the loss probabilities, and the drawing's legend, keyed by state.
 
     The dict is empty if the trace has no geometry or the structure is too large to draw.
     """

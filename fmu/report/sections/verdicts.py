@@ -66,7 +66,7 @@ def _change(run: ReportedRun, name: str) -> float:
 def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
     """Return the verdict on the changes of the first three parameters in `names`.
 
-    If `names` is empty, the verdict says that nothing changed that the data determine.
+    If `names` is empty, the verdict says that the data determine no change.
     """
     question = "What changed?"
     if not names:
@@ -159,7 +159,10 @@ def judge_data(run: ReportedRun) -> Verdict:
 
 
 def convergence(run: ReportedRun) -> Verdict:
-    """Return the verdict on the run's convergence."""
+    """Return the verdict on the run's convergence.
+
+    A converged run without a search for maxima counts only as locally converged.
+    """
     question = "Can the run be trusted?"
     rhat, needed = float(run.summary["rhat"].max()), required_ess(run.trace["posterior"].sizes["chain"])
     ess = float(run.summary[["ess_bulk", "ess_tail"]].min().min())

@@ -113,7 +113,7 @@ def _drawing(run: ReportedRun, name: str, k: int) -> Picture:
 
 
 def _channels(run: ReportedRun, group: xr.Dataset) -> tuple[Part, ...]:
-    """Return a table of the response channels' gains and delays, or an empty tuple if none is inferred."""
+    """Return a tuple with a table of the response channels' gains and delays; empty if none is inferred."""
     names = [str(name) for name in group["channel"].to_numpy()]
     rows = []
     for name, gain, sd in zip(names, group["gain"].to_numpy(), group["gain_sd"].to_numpy(), strict=True):
