@@ -1,4 +1,4 @@
-"""Decoupled blocks of a structure, full or reduced, and the modes of their eigenproblems."""
+"""Interface of a structure's decoupled blocks, full or reduced, and the derivatives of their modes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fmu.fem.modes.terms import ParametricMatrix, Term
 from fmu.types import FloatArray, IntArray
 
 Observation = tuple[Matrix, FloatArray]
-"""Comparison coordinates as rows for a block's unknowns, and the reference shapes at these coordinates."""
+"""A matrix that maps a block's unknowns to comparison coordinates, and the reference shapes there."""
 Solved = dict[int, tuple[FloatArray, FloatArray]]
 """Eigenvalues and shapes, keyed by block index."""
 
@@ -24,7 +24,7 @@ class BlockPrediction(NamedTuple):
     Attributes
     ----------
     eigenvalues : ndarray, shape (n, m), (rad/s)²
-    shapes : ndarray, shape (n, n_sensors, m), mass-normalised, of either sign
+    shapes : ndarray, shape (n, n_sensors, m), mass-normalised, with arbitrary signs
     eigenvalue_slopes : ndarray, shape (n, m, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, m, n_parameters), or None
     """
@@ -234,9 +234,10 @@ class Block:
     def _shape_slopes_along(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
     ) -> FloatArray:
-        """Return derivatives of the shapes along directions d, given ∂_dK φ and ∂_dM φ, each (n, size, m, q).
+        """Return derivatives of the lowest m shapes along q directions d each, shape (n, size, m, q).
 
-        Each of the m lowest modes has q directions. The result has the same shape.
+        `dK_phi` and `dM_phi`, of the same shape, are ∂_dK φ and ∂_dM φ. Rotations between modes whose eigenvalues
+        are closer than `fmu.fem.modes.derivatives.CLOSE` are omitted.
         """
         raise NotImplementedError
 
@@ -249,10 +250,10 @@ class Block:
         return rows
 
     def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
-        """Return sensor rows and reference shapes with the same norms and inner products, fewer if possible.
+        """Return fewer sensor rows and reference rows, if possible, with the same norms and inner products.
 
-        `rows` come from `coordinates`. The reference shapes returned have n_modes columns and one row per new
-        sensor row. By default, both are returned unchanged.
+        `rows`, shape (q, size), come from `coordinates`, and the columns of `reference`, shape (q, m), are
+        reference shapes. By default, both are returned unchanged.
         """
         return rows, reference
 
@@ -263,8 +264,8 @@ class Block:
         ----------
         rows : sparse, shape (q, n)
             Comparison coordinates as rows for the block's degrees of freedom.
-        reference : ndarray, shape (q, n_modes)
-            Reference shapes at these coordinates.
+        reference : ndarray, shape (q, m)
+            Reference shapes at these coordinates, one per column.
         """
         return self.compress_rows(self.coordinates(rows), reference)
 

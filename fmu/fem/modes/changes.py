@@ -60,8 +60,8 @@ def changed_model(
     Raises
     ------
     ValueError
-        If a mass is at a place that cannot translate, a spring is in a direction that is not free, or no parameter
-        remains.
+        If a mass is at a place that cannot translate, a spring is in a direction that is not free, no parameter
+        remains, or a term is not finite at the known values.
     """
     K_terms, M_terms = list(model.K_terms), list(model.M_terms)
     constant = (0.0,) * model.n_parameters
@@ -102,7 +102,7 @@ def changed_model(
 
 
 def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
-    """Return size · RᵀR, the matrix of a mass or spring of this `size` whose motion is given by the rows R."""
+    """Return size · RᵀR, the matrix of a mass or spring of this `size`, where the rows R give its motion."""
     return sp.csr_array(size * (rows.T @ rows))
 
 

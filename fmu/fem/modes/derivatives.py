@@ -10,15 +10,16 @@ equations form one regular system for ∂φ and ∂λ; Nelson (1976, *AIAA Journ
 equations with one component of ∂φ fixed.
 
 Shapes of repeated eigenvalues have no derivative, because any rotation among these shapes also gives modes. If two
-eigenvalues are closer than `REPEATED`, the rotation is omitted. If they are slightly further apart, the rotation
-is large, and correctly so: the closer two modes are, the faster their shapes rotate into each other. If two
-eigenvalues λ differ by δλ, the derivatives are of the order of λ/δλ. Like the shapes, they have a relative error
-of the rounding error times λ_max/δλ: 1e-6 for modes 1e-4 apart, if the highest eigenvalue is below about 10⁶ λ. A
-reduced basis with a relative frequency error ε gives shapes with an error of ε divided by the gap.
+eigenvalues are closer than `REPEATED`, the sum omits the rotation, and the system is singular unless the rotation
+is excluded. If they are slightly further apart, the rotation is large, and correctly so: the closer two modes are,
+the faster their shapes rotate into each other. If two eigenvalues λ differ by δλ, the derivatives are of the order
+of λ/δλ. Like the shapes, they have a relative error of the rounding error times λ_max/δλ: 1e-6 for modes 1e-4
+apart, if the highest eigenvalue is below about 10⁶ λ. A reduced basis with a relative frequency error ε gives
+shapes with an error of ε divided by the gap.
 
 Second derivatives of an eigenvalue contain these rotations and are of the order of λ²/δλ. There the rotation is
-omitted if two eigenvalues are closer than `CLOSE`, because rounding may exceed it. Samplers take far longer steps
-than this gap.
+omitted if two eigenvalues are closer than `CLOSE`, because rounding may exceed it. One step of a sampler changes
+the eigenvalues by far more than this gap.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def by_all_modes(
     dK, dM : ndarray, shape (n, r, count, n_parameters)
         φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i.
     repeated : float
-        Relative difference below which two eigenvalues count as repeated.
+        Relative difference up to which two eigenvalues count as repeated; the sum omits the rotation of such modes
+        into each other.
 
     Returns
     -------

@@ -10,13 +10,13 @@ A free structure has a singular K. Its strain-free motions N, with K N = 0, are 
 eigenvectors of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
 distinguish a rigid-body motion from the motion of a soft part. The strain energy of a rigid-body motion must also
 be mere rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid-body
-modes. Let P = I − N Nᵀ M. Fix just enough degrees of freedom to make the structure statically determinate, and let
-f be the remaining ones. With φ = P [y; 0],
+modes. Let Nᵀ M N = I and P = I − N Nᵀ M. Fix just enough degrees of freedom to make the structure statically
+determinate, and let f be the remaining ones. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 
-which is definite again (Farhat & Géradin 1998, *Int. J. Numer. Meth. Eng.* 43, 675–696, on self-equilibrated loads
-and generalised inverses of free structures).
+where K_ff is positive definite (Farhat & Géradin 1998, *Int. J. Numer. Meth. Eng.* 43, 675–696, on generalised
+inverses of free structures under self-equilibrated loads).
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ _CAUTION = 10.0
 
 
 class SingularMassError(ValueError):
-    """Raised when an eigenproblem cannot be solved, because of K, M or the solver."""
+    """Raised when an eigenproblem cannot be solved, or a mass matrix is not positive semidefinite."""
 
 
 def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
-    """Factorise S = D A D from `unit_diagonal`; return None unless it is clearly positive definite.
+    """Return the factors of A from S = D A D (`unit_diagonal`), or None unless A is clearly positive definite.
 
     Explicit zeros in a large matrix are removed first. Its factors are stored and reused, so they must not depend
     on the order in which the matrix was summed.
@@ -82,7 +82,7 @@ def eigen(
 
     Parameters
     ----------
-    K, M : sparse arrays, shape (n_dof, n_dof)
+    K, M : ndarray or sparse arrays, shape (n_dof, n_dof)
         Symmetric; M positive semidefinite: degrees of freedom may have no mass. K may be singular (a free
         structure): its rigid-body modes and mechanisms have λ = 0 exactly.
     count : int
@@ -100,10 +100,10 @@ def eigen(
     Raises
     ------
     ValueError
-        If the structure has fewer than `count` degrees of freedom.
+        If `count` is less than 1 or exceeds the number of degrees of freedom.
     SingularMassError
         If fewer than `count` modes have a finite frequency, M is negative for some motion, a motion has neither
-        stiffness nor mass, or the solver fails.
+        stiffness nor mass, the solver fails, or the modes overflow.
     MemoryError
         If the factors of a large matrix do not fit in memory.
     """
@@ -130,9 +130,9 @@ def eigen(
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues (count,) and shapes (n, count); K is scaled to S, with unit diagonal.
+    """Return the lowest eigenvalues (count,) and shapes (n, count) of S φ = λ M φ, where S has a unit diagonal.
 
-    `clear` holds the factors of K if it is clearly definite, otherwise None.
+    `clear` contains factors of S if S is clearly definite; otherwise it is None.
     """
     if clear is not None:
         factor = clear.scaled
@@ -148,13 +148,13 @@ def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> 
 
 
 def _is_strained(S: Matrix, X: FloatArray) -> BoolArray:
-    """Return a mask of the motions in X (n, m) that are soft, not rigid: their strain energy exceeds rounding."""
+    """Return a mask (m,) of the motions in X (n, m) that strain the structure: their energy exceeds rounding."""
     sizes = np.sum(np.abs(X) * (abs(S) @ np.abs(X)), axis=0)
     return np.asarray(np.sum(X * (S @ X), axis=0) > _STRAINED * 0.5 * np.finfo(float).eps * sizes)
 
 
 def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes of a structure with strain-free motions N (n, r), where Nᵀ M N = 1."""
+    """Return the lowest modes of a structure, of which the strain-free motions N (n, r), NᵀMN = I, come first."""
     n, r = N.shape
     if count <= r:
         return np.zeros(count), N[:, :count]
@@ -191,9 +191,9 @@ def _definite(matrix: Matrix) -> Factor:
 
 
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
-    """Return True if a factorised matrix A is positive definite by more than rounding.
+    """Return True if a positive definite matrix A, factorised in `factor`, is so by more than rounding.
 
-    `scale` is the diagonal of D for which D A D has a unit diagonal.
+    `scale` is the diagonal of D for which D A D has a unit diagonal. An indefinite A is not detected.
     """
     # four steps of inverse iteration: the estimate is never below the lowest eigenvalue
     x = _start(len(scale))
@@ -208,7 +208,7 @@ def _start(n: int) -> FloatArray:
 
 
 def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
-    """Factorise S + s M with a shift s that makes the sum definite; raise SingularMassError if there is none."""
+    """Factorise S + s M with a shift s that makes it definite. Raise SingularMassError if none of 24 does."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
@@ -219,7 +219,7 @@ def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
 
 
 def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
-    """Return an M-orthonormal basis of N's columns (n, r). Raise SingularMassError if a motion has no mass."""
+    """Return an M-orthonormal basis of the motions N (n, r). Raise SingularMassError if a motion has no mass."""
     G = N.T @ (M @ N)
     if np.linalg.eigvalsh(G)[0] <= ZERO * np.trace(G):
         raise SingularMassError("a motion without strain moves no mass")
@@ -227,7 +227,7 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
-    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, in descending order of μ."""
+    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ, in descending order, given A's factors."""
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
@@ -243,7 +243,7 @@ def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
 
 
 def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count: int) -> FloatArray:
-    """Return the same eigenvectors as `_highest`; ``solve(b)`` returns A⁻¹ b.
+    """Return the same eigenvectors as `_highest`, where ``solve(b)`` returns A⁻¹ b.
 
     They come from Lanczos iterations with A⁻¹ M or, if few degrees of freedom have mass, from a dense matrix. The
     starting vector is fixed, so that results are reproducible.
@@ -268,10 +268,11 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count:
 def _polish(
     S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Rayleigh quotients (m,) and mass-normalised vectors (n, m) for the span of X's columns (n, m).
+    """Return eigenvalues (m,), ascending, and mass-normalised vectors (n, m), improved in the span of X's columns.
 
-    The columns of X are ordered from the lowest mode. The inverse problem is less accurate for the higher modes,
-    so these are replaced by the Ritz vectors of their span.
+    The columns of X (n, m) are ordered from the lowest mode. The eigenvalues are Rayleigh quotients. Modes with λ
+    above `WIDE` times the lowest are inaccurate, and are replaced by Ritz vectors of their span. Raise LinAlgError
+    on overflow.
     """
     lam, X = rayleigh_quotients(S, M, X, elastic)
     if not np.all(np.isfinite(lam)):
@@ -291,9 +292,9 @@ def _dense(matrix: Any) -> FloatArray:
     return matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix)
 
 
-# Whether a symmetric matrix is singular or negative shows in its lowest eigenvalues at a unit diagonal. With that
-# scaling metres and radians, and stiff and soft parts, count equally, and an eigenvalue that should be zero is of
-# the order of 1e-16, whatever the units and the mesh.
+# The lowest eigenvalues of a symmetric matrix scaled to a unit diagonal show whether it is singular or indefinite.
+# With this scaling, metres and radians, and stiff and soft parts, count equally. An eigenvalue that should be zero
+# is then of the order of 1e-16, whatever the units and the mesh.
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
@@ -301,8 +302,8 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    eigenvalues : ndarray, shape (m,)
-        If a large matrix has eigenvalues below −`NEGATIVE`, only one of these.
+    eigenvalues : ndarray, shape (m,), ascending
+        If a large matrix has eigenvalues below −`NEGATIVE`, a single one of these.
     vectors : ndarray, shape (n, m), orthonormal
     """
     n = S.shape[0]
@@ -321,7 +322,10 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 def _all_below_zero(
     solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve for more and more of the lowest eigenpairs, up to `most`, until the highest of them is above zero."""
+    """Return the lowest eigenpairs, all below `ZERO` and at least one above, but no more than `most`.
+
+    ``solve(count)`` returns the lowest `count` pairs.
+    """
     count = min(_AT_ONCE, most)
     lam, vectors = solve(count)
     while lam[-1] < ZERO and count < most:
@@ -331,17 +335,12 @@ def _all_below_zero(
 
 
 def rank(matrix: Matrix) -> int:
-    """Return the rank of a positive semidefinite matrix.
+    """Return the rank of a positive semidefinite matrix. Raise SingularMassError if it is not semidefinite.
 
     The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
-    as in solids with reduced integration, and an iteration that searches for all of them would not end. In that
-    case, with the diagonal scaled to one, eigenvalues within ±`NEGATIVE` count as zero, because a matrix exported
-    with few digits has zero eigenvalues only to that accuracy. In a small matrix the limit is `ZERO`.
-
-    Raises
-    ------
-    SingularMassError
-        If the quadratic form xᵀ A x is negative for some vector x.
+    as in solids with reduced integration, and an iteration that searches for all of them would take too long. In
+    that case, with the diagonal scaled to one, eigenvalues within ±`NEGATIVE` count as zero, because a matrix
+    exported with few digits has zero eigenvalues only to that accuracy. In a small matrix, those below `ZERO` do.
     """
     matrix = _dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix
     diagonal = matrix.diagonal()
@@ -379,7 +378,7 @@ def is_semidefinite(matrix: sp.csr_array) -> bool:
 
 
 def _is_definite(S: Matrix) -> bool:
-    """Return True if the eigenvalues of a matrix with unit diagonal are all clearly above zero (1e-6)."""
+    """Return True if all eigenvalues of a matrix with unit diagonal exceed 1e-6."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
         # consistent mass matrices have eigenvalues of at least 1e-3; a smaller one calls for all the lowest
@@ -389,7 +388,7 @@ def _is_definite(S: Matrix) -> bool:
 
 
 def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the `count` eigenpairs of S nearest to `sigma`; `factor` is the factorised S − sigma I."""
+    """Return the `count` eigenpairs of S nearest to `sigma`, ascending. `factor` factorises S − sigma I."""
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)

@@ -54,8 +54,8 @@ class FullBlock(Block):
     ----------
     K_terms, M_terms : tuple of Term
     n_modes : int
-        Number of modes with a finite frequency: fewer than `size` if M is singular. It is an upper bound if a mass
-        term may be negative.
+        Number of modes with a finite frequency if all mass coefficients are positive: fewer than `size` if M is
+        singular. It is an upper bound if the mass terms do not add up to a semidefinite matrix.
     constant : bool
         Whether no parameter changes the block.
     """
@@ -105,10 +105,10 @@ class FullBlock(Block):
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count), with NaN on failure.
 
         A block of more than `DENSE_LIMIT` degrees of freedom stores its last solve at a single theta, because
-        several quantities are needed at the starting point. A block that no parameter changes is solved only once.
-        A block with at least `LARGE` degrees of freedom computes a few extra modes for `at_least`. Within
-        `spread_over`, the engine's workers solve a block of more than `DENSE_LIMIT` degrees of freedom at several
-        theta in parallel. Results are bitwise independent of the engine and of the other theta.
+        several quantities are needed at the starting point. A block that no parameter changes is solved again only
+        for another `count`. A block with at least `LARGE` degrees of freedom computes a few extra modes for
+        `at_least`. Within `spread_over`, the engine's workers solve a block of more than `DENSE_LIMIT` degrees of
+        freedom at several theta in parallel. Results are bitwise independent of the engine and of the other theta.
         """
         times = 1
         if self.constant:
@@ -202,7 +202,7 @@ class FullBlock(Block):
     def _workers_that_fit(self, engine: Engine, of_factors: int) -> int:
         """Return how many workers fit in memory, if each holds the block and factors of `of_factors` bytes.
 
-        All workers count if the free memory is unknown or the block is smaller than `LARGE`.
+        Return the number of all workers if the free memory is unknown or the block is smaller than `LARGE`.
         """
         free = engine.free_memory()
         if free is None or self.size < LARGE:
@@ -213,7 +213,7 @@ class FullBlock(Block):
     def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and shapes (n, size, count).
 
-        For a block of more than `DENSE_LIMIT` degrees of freedom, each theta is a separate task.
+        A block of more than `DENSE_LIMIT` degrees of freedom is solved at each theta in a separate task.
         """
         if len(theta) < 2 or self.size <= DENSE_LIMIT:
             return self._solve_each(theta, count)
@@ -247,7 +247,8 @@ class FullBlock(Block):
     ) -> None:
         """Solve many small eigenproblems in one batch, and write their modes into `lam` and `phi`.
 
-        Rows that cannot be solved in a batch stay NaN.
+        `has_rank_of_all` (n,) marks the theta at which all mass coefficients are positive. Rows that cannot be
+        solved in a batch stay NaN.
         """
         maps = zip(self._stacks, (self._K_map, self._M_map), strict=True)
         K, M = (assemble(terms, matrix.coefficients(theta)) for terms, matrix in maps)
@@ -258,7 +259,7 @@ class FullBlock(Block):
 
     @cached_property
     def _has_semidefinite_masses(self) -> bool:
-        """Whether all mass terms are semidefinite. If so, all sums with positive weights have the same rank."""
+        """Whether all mass terms are positive semidefinite. Sums with positive weights then have the same rank."""
         try:
             return all(rank(term.matrix) >= 0 for term in self.M_terms)
         except SingularMassError:
@@ -346,18 +347,18 @@ def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> t
 
 
 def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[int, int]:
-    """Return the bytes that a process needs to hold the terms, and to factorise a stiffness matrix too.
+    """Return the bytes that a process needs to hold the terms, and the bytes that it needs to factorise K as well.
 
-    Python and its libraries are included, but not the factors themselves.
+    Both include Python and its libraries, but not the factors themselves.
     """
     stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in ((*K_terms, *M_terms), K_terms))
     return LIBRARIES + stored, LIBRARIES + stored + COPIES * stiffness
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
-    """Return the rank of M if every term has a positive coefficient: the number of modes with a finite frequency.
+    """Return the rank of M for positive coefficients of all terms: the number of modes with a finite frequency.
 
-    Return None if the sum of the terms is not semidefinite.
+    Return None if the sum of the terms, each scaled to a largest entry of 1, is not semidefinite.
     """
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
@@ -367,10 +368,7 @@ def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
 
 
 def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
-    """Return the number of rows in which any mass term has an entry.
-
-    It bounds the rank from above, even if some terms are differences of matrices.
-    """
+    """Return the number of rows in which any mass term has an entry: an upper bound on the rank of M."""
     return int(np.sum(np.any([np.diff(term.matrix.indptr) > 0 for term in M_terms], axis=0)))
 
 
@@ -379,7 +377,7 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return ∂A/∂theta_j φ for shapes φ (size, m), where A is the sum of `terms`, (m, size, n_parameters)."""
+    """Return ∂A/∂theta_j φ, shape (m, size, n_parameters), for shapes φ (size, m); A is the sum of `terms`."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 

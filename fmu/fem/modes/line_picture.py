@@ -27,7 +27,7 @@ class LinePicture:
     Raises
     ------
     ValueError
-        If the shapes of the arrays are inconsistent.
+        If the shapes of the arrays are inconsistent, or there are no lines.
     """
 
     names: Sequence[str]

@@ -14,14 +14,18 @@ from fmu.types import BoolArray, FloatArray, IntArray
 # the last digit, the eigenvalue is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits
 # leave more.
 RIGID = 1e-9
-# An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set consists of the
-# measured modes, far below the highest mode of the structure, to which rounding is relative.
+# An eigenvalue below zero by more than this share of the largest of the modes in use is not rounding. These modes
+# lie far below the structure's highest mode, and rounding errors are relative to the highest mode.
 NEGATIVE = 1e-6
 _EQUAL = 1e-6
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
-    """Return a mask (..., m) of the rigid-body modes among a structure's lowest m modes; NaN counts as elastic."""
+    """Return a mask (..., m) of the rigid-body modes among a structure's lowest m modes.
+
+    They are the modes with eigenvalues up to `RIGID` times the largest, including negative ones. NaN counts as
+    elastic.
+    """
     return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 
 
@@ -31,8 +35,8 @@ def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
     Parameters
     ----------
     eigenvalue : ndarray, shape (..., m), (rad/s)²
-        Modes of one structure along the last axis. A negative λ smaller than 1e-6 of the largest |λ| of these
-        modes is a rigid-body mode with rounding, and counts as zero.
+        Modes of one structure along the last axis. A negative λ with |λ| up to 1e-6 of the largest |λ| of these
+        modes belongs to a rigid-body mode with rounding, and counts as zero.
     """
     if np.count_nonzero(eigenvalue < 0.0):
         scale = np.fmax.reduce(np.abs(eigenvalue), axis=-1, keepdims=True)
@@ -55,8 +59,8 @@ def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -
 def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     """Return the modal assurance criterion (MAC) between two sets of shapes (Allemang & Brown 1982).
 
-    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. If a shape is zero there, its MAC with every shape is
-    0.
+    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. If a shape is zero there or contains NaN, its MAC with
+    every shape is 0.
 
     Parameters
     ----------
@@ -73,7 +77,7 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def fix_sign(shapes: FloatArray) -> FloatArray:
-    """Return the shapes with signs chosen so that each shape's largest component is positive.
+    """Return the shapes with signs chosen so that each shape's largest component by magnitude is positive.
 
     If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first one is made
     positive. Rounding then does not determine the sign.
@@ -81,7 +85,7 @@ def fix_sign(shapes: FloatArray) -> FloatArray:
     Parameters
     ----------
     shapes : ndarray, shape (..., n, m)
-        Columns are shapes. A column with NaN is not changed.
+        Columns are shapes. A column of NaN is not changed.
     """
     size = np.abs(shapes)
     first = np.argmax(size >= (1.0 - _EQUAL) * np.max(size, axis=-2, keepdims=True), axis=-2)
@@ -125,7 +129,7 @@ def count_modes(blocks: Sequence[Block]) -> int:
 def solve_spectrum(
     blocks: Sequence[Block], theta: FloatArray, count: int, gradient: bool = False
 ) -> ModalSolution:
-    """Return the lowest `count` modes of the whole structure, sorted over all its `blocks`.
+    """Return the lowest `count` modes of the whole structure, in ascending order over all its `blocks`.
 
     A reduced block gives only the modes for which it was trained. If one of its higher modes might be among the
     lowest modes at a theta, all eigenvalues at that theta are NaN, and the full model is needed. They are NaN too
@@ -167,10 +171,11 @@ def solve_spectrum(
 def join_shapes(
     blocks: Sequence[Block], theta: FloatArray, modes: ModalSolution, counts: Mapping[int, int] | None = None
 ) -> FloatArray:
-    """Return the mass-normalised shapes of modes at one theta (1, n_parameters), shape (n_dof, m).
+    """Return the mass-normalised shapes (n_dof, m) of the modes `modes` at one theta (1, n_parameters).
 
-    All blocks must be full. A shape is zero outside its own block. Its sign is set by `fix_sign`. `counts` is the
-    number of modes computed in each block to obtain `modes`; if it is given, large blocks are not solved again.
+    All blocks must be full. A shape is zero outside its own block. Its sign is set by `fix_sign`. `counts` maps a
+    block's index to the number of its modes that were computed to obtain `modes`; if it is given, large blocks are
+    not solved again.
     """
     block, rank = modes.block[0], modes.rank[0]
     shapes = np.zeros((sum(len(of.dofs) for of in blocks), len(block)))

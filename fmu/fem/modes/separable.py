@@ -259,8 +259,8 @@ class SeparableModel:
         """Degrees of freedom in each decoupled block: one array of ascending indices per block.
 
         The blocks are the connected components of the graph of nonzeros in Σ |K_k| + Σ |M_m|, so that the
-        eigenproblem splits exactly. Entries that are nonzero only because of rounding (as in a rotated element) do
-        not connect degrees of freedom.
+        eigenproblem splits. Entries that are nonzero only because of rounding (as in a rotated element) do not
+        connect degrees of freedom.
         """
         rows, columns = [], []
         for term in (*self.K_terms, *self.M_terms):
@@ -348,9 +348,9 @@ class SeparableModel:
         return seen
 
     def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
-        """Yield (node row, direction, weights) for each motion of each node in the geometry, if there is one.
+        """Yield (node row, direction, weights) for each motion of each node; nothing if the model has no geometry.
 
-        The weights are keyed by index in `dofs`.
+        The row refers to the geometry's nodes, and the weights are keyed by index in `dofs`.
         """
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
@@ -365,7 +365,7 @@ class SeparableModel:
 
 
 def separable_in(model: object) -> SeparableModel | None:
-    """Return the model if it is given by its matrices, otherwise None."""
+    """Return the model if it is a `SeparableModel`, otherwise None."""
     return model if isinstance(model, SeparableModel) else None
 
 

@@ -5,12 +5,14 @@ takes a tenth to a half of a sparse solver's time. Other sparse matrices are fac
 if the extra ``fmu[fast]`` is installed (package pypardiso), otherwise by SuperLU, which comes with SciPy. PARDISO
 is meant for 10⁵ degrees of freedom and more. For matrices with at least `LARGE` rows it uses the number of threads
 given by `n_threads` in `fmu.fem.modes.factors.pardiso`; the factors are bitwise equal for any number of threads.
-If they would take more than a sixth of the machine's memory, they are computed in single precision, and solutions
-are refined to double precision (`fmu.fem.refinement`). Memory is checked before factors are computed. PARDISO
-stores factors that do not fit in files; SuperLU refuses them, but checks only from `LARGE` rows on.
+If PARDISO's factors would take more than a sixth of the machine's memory, they are computed in single precision,
+and solutions are refined to double precision (`fmu.fem.refinement`). The sparse solvers check the free memory
+first. If it is too small, PARDISO stores the factors in files. SuperLU raises MemoryError, but checks only from
+`LARGE` rows on.
 
-None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
-signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
+Except for dense indefinite matrices, no solver reorders rows to obtain large pivots. The matrices are positive
+definite or nearly so, and the signs of the pivots are then the signs of the eigenvalues (Sylvester's law of
+inertia).
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ class Factor(Protocol):
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of memory for the factors: reported by PARDISO, or estimated from the number of entries."""
+        """Bytes of memory for the factors: reported by PARDISO, otherwise estimated from the number of entries."""
         ...
 
     def solve(self, loads: FloatArray) -> FloatArray:
@@ -89,7 +91,10 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
     numpy.linalg.LinAlgError
         If the matrix is singular to the last digit; a nearly singular matrix may pass.
     MemoryError
-        If the factors of a large sparse matrix do not fit in memory.
+        If the factors of a large sparse matrix do not fit in memory, or fit only in single precision, which is too
+        inaccurate for this matrix.
+    OSError
+        If PARDISO cannot write its factors to files.
     """
     if not sp.issparse(matrix):
         return DenseFactor(matrix)
@@ -129,14 +134,14 @@ class ScaledFactor:
 
 
 class LastFactor:
-    """The factors of a block's stiffness matrix at the last theta for which they were computed.
+    """The factors of a block's stiffness matrix at the latest theta for which they were computed.
 
     A copy starts without factors.
 
     Attributes
     ----------
     factor : ScaledFactor or None
-        The factors, or None if there are none.
+        None if nothing is stored, or if the matrix was not clearly definite.
     """
 
     def __init__(self) -> None:
@@ -162,7 +167,7 @@ class LastFactor:
 class DenseFactor:
     """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977).
 
-    Raise LinAlgError if the matrix is singular or not finite.
+    Raises LinAlgError if the matrix is singular or not finite.
     """
 
     is_single = False

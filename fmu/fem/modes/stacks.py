@@ -1,4 +1,4 @@
-"""Modes of many small matrices at once, with NumPy's batched LAPACK.
+"""Modes of many pairs of small matrices at once, with NumPy's batched LAPACK.
 
 Every operation treats each matrix separately, elementwise or in one small LAPACK or BLAS call per matrix. Each
 result is therefore bitwise independent of the rest of the stack.
@@ -31,10 +31,11 @@ def assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes of K φ = λ M φ for each matrix pair, with NaN for difficult pairs.
+    """Return the lowest modes of K φ = λ M φ for each matrix pair, with NaN for pairs that need another solver.
 
-    The method is the same as in `fmu.fem.modes.eigensolver`, but it does not handle free structures, a nearly
-    singular K, or modes with very different frequencies.
+    The method is that of `fmu.fem.modes.eigensolver`, without its treatment of free structures. NaN is returned if
+    K is singular, nearly singular or indefinite, if the highest λ is more than `WIDE` times the lowest, or on
+    overflow.
 
     Parameters
     ----------
@@ -73,10 +74,10 @@ def _lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray,
 def rayleigh_quotients(
     S: Any, M: Any, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Rayleigh quotients (..., m) and M-orthonormal vectors (..., n, m) for the span of X's columns.
+    """M-orthonormalise the columns x of X (..., n, m), and return their quotients xᵀ S x (..., m) and the new X.
 
-    `elastic` removes rigid-body motions from vectors. A quotient's relative error is the square of its vector's
-    error.
+    `elastic` first removes rigid-body motions. The relative error of a quotient is of the order of the square of
+    its vector's error. Raise LinAlgError if the columns are linearly dependent.
     """
     for _ in range(2):  # Cholesky–QR in the inner product of M, twice against rounding
         X = elastic(X)
@@ -86,7 +87,7 @@ def rayleigh_quotients(
 
 
 def row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
-    """Call a batched solver. If the batch fails, solve each matrix alone, and return NaN for those that fail."""
+    """Call a batched solver. If it raises LinAlgError, solve each matrix alone, with NaN for those that fail."""
     try:
         return tuple(solve(*matrices))
     except np.linalg.LinAlgError:

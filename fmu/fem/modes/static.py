@@ -23,7 +23,10 @@ _DEPENDENT = 1e-13
 
 
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
-    """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along one axis."""
+    """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along one axis.
+
+    It is zero if no node is free along this axis.
+    """
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
@@ -70,9 +73,9 @@ class MassMoments:
         self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the mass in kg and, if needed, the centre in m, (n, 1 or 4), at theta (n, n_parameters).
+        """Return the mass in kg and, if `with_centre`, the centre in m, (n, 1 or 4), at theta (n, n_parameters).
 
-        With `gradient`, also return the derivatives, shape (n, 1 or 4, n_parameters); otherwise None.
+        Also return the derivatives, shape (n, 1 or 4, n_parameters), or None without `gradient`.
         """
         moments = np.einsum("nk,kq->nq", self._map.coefficients(theta), self._sums)
         mass = moments[:, :1]
@@ -112,8 +115,8 @@ class StaticDisplacement:
     Raises
     ------
     ValueError
-        If a place sees no free degree of freedom, K is singular at a sampled point, or the error does not
-        converge.
+        If a place sees no free degree of freedom, K is not positive definite at a sampled point, or the error
+        stays above 1e-9 with the largest basis (unless that spans all degrees of freedom).
     """
 
     def __init__(
@@ -147,7 +150,11 @@ class StaticDisplacement:
                 n *= 2
 
     def _project(self, model: SeparableModel, vectors: FloatArray, loads: FloatArray) -> None:
-        """Project the stiffness terms and loads onto an orthonormal basis of the columns of `vectors`."""
+        """Project the stiffness terms and loads onto a basis of the span of `vectors`.
+
+        The basis is orthonormal in the scaled unknowns. Directions that are linearly dependent up to rounding are
+        left out.
+        """
         weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # for rotations and metres
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
@@ -159,7 +166,7 @@ class StaticDisplacement:
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return u in m or rad, shape (n, 1), at theta (n, n_parameters), with NaN where K is singular.
 
-        With `gradient`, also return its derivatives, shape (n, 1, n_parameters); otherwise None.
+        Also return its derivatives, shape (n, 1, n_parameters), or None without `gradient`.
         """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         K = np.einsum("nk,kij->nij", self._map.coefficients(theta), self._K)
@@ -187,7 +194,7 @@ def _coordinates(model: SeparableModel) -> FloatArray:
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
     """Return K(θ)⁻¹ times `loads` (n_dof, 2). K is first scaled to a unit diagonal.
 
-    Raise ValueError if K is not positive definite.
+    Raise ValueError if K is not positive definite, or too nearly singular for an accurate solution.
     """
     K = sum_at(model.K_terms, theta)
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))

@@ -21,12 +21,13 @@ Powers = tuple[float, ...]
 @check_arguments
 @dataclass(frozen=True)
 class Term:
-    """A matrix with the coefficient Π theta_j ** powers[j], a monomial.
+    """A matrix multiplied by a monomial in the parameters, Π theta_j ** powers[j].
 
     Attributes
     ----------
     matrix : array_like or sparse, shape (n_dof, n_dof)
-        Symmetric; includes the constant factor of the coefficient. Stored as a csr_array of float.
+        Symmetric, which is checked when a model is built; includes the constant factor of the monomial. Stored as
+        a csr_array of float.
     powers : sequence of int or float, length n_parameters
         Power of each parameter; all are zero for a term that no parameter changes.
 
@@ -66,7 +67,10 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
 
 
 def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
-    """Return the nonzero second derivatives ∂²c_k/∂theta_i∂theta_j, each of shape (n,), keyed by (k, i, j)."""
+    """Return the second derivatives ∂²c_k/∂theta_i∂theta_j, each of shape (n,), keyed by (k, i, j).
+
+    Derivatives that are zero at every theta are left out.
+    """
     found = {}
     for k, term in enumerate(terms):
         powers = np.array(term.powers, dtype=float)
@@ -81,7 +85,7 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
     """Return the monomial Π theta[:, j] ** powers[j], shape (n,): NaN where undefined, infinite on overflow.
 
-    Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
+    Powers are computed by multiplication or one by one, so that a result does not depend on the rest of the batch.
     """
     value = np.ones(len(theta))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -106,7 +110,7 @@ def _power(x: float, power: float) -> float:
 
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return fewer terms: terms with equal coefficients are merged by adding their matrices."""
+    """Add the matrices of terms that have the same powers, and return the resulting terms."""
     merged: dict[Powers, sp.csr_array] = {}
     for term in terms:
         merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
@@ -114,7 +118,10 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
-    """Return the sparse sum Σ weights[k] · K_k of the terms; inf or NaN, without a warning, on overflow."""
+    """Return the sparse sum Σ weights[k] · K_k over the terms' matrices K_k.
+
+    Overflow gives inf or NaN without a warning.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -123,7 +130,7 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
 
 
 def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
-    """Return the sparse sum of `terms` at theta (n_parameters,); inf or NaN, without a warning, on overflow."""
+    """Return the sparse sum of `terms` at theta (n_parameters,). Overflow gives inf or NaN without a warning."""
     return weighted_sum(terms, coefficients(terms, theta[None])[0])
 
 
@@ -153,7 +160,10 @@ class ParametricMatrix:
 
     @cached_property
     def _pattern(self) -> tuple[IntArray, IntArray, list[tuple[slice | IntArray, FloatArray]]]:
-        """Columns and row pointers of the sum and, for each term, its entries and their positions in the sum."""
+        """Column indices and row pointers of the sum (CSR), and positions and values of each term's entries.
+
+        The positions are ``slice(None)`` for a term that has all the entries of the sum.
+        """
         matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in self.terms]
         for matrix in matrices:
             matrix.sum_duplicates()
@@ -176,7 +186,10 @@ class ParametricMatrix:
         return np.ravel_multi_index((rows, columns), self.terms[0].matrix.shape)
 
     def add_up(self, weights: FloatArray, dense: bool) -> Any:
-        """Return Σ_k w_k K_k for weights (n_terms,), dense or sparse; inf or NaN, without warning, on overflow."""
+        """Return Σ_k w_k K_k, dense or sparse, for weights (n_terms,).
+
+        Overflow gives inf or NaN without a warning.
+        """
         columns, pointers, parts = self._pattern
         data = np.zeros(len(columns))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -191,7 +204,7 @@ class ParametricMatrix:
 
     @property
     def is_curved(self) -> bool:
-        """Whether any coefficient may have second derivatives: it is neither constant nor equal to a parameter."""
+        """Whether any coefficient is neither constant nor equal to a parameter, and so has second derivatives."""
         return bool(self._general)
 
     def coefficients(self, theta: FloatArray) -> FloatArray:
@@ -205,9 +218,9 @@ class ParametricMatrix:
         return value
 
     def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] ∂c_k/∂theta for quadratic forms (n, n_terms, m) and coefficients c_k.
+        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), at theta (n, n_parameters).
 
-        The result has shape (n, m, n_parameters).
+        `forms`, shape (n, n_terms, m), contains for example the quadratic forms φᵀ K_k φ of m modes.
         """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         if self._general:
@@ -224,9 +237,9 @@ class ParametricMatrix:
         return np.einsum("kj,nmj->nkm", self._slopes, d)
 
     def contract_twice(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j for quadratic forms and coefficients c_k.
+        """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j, shape (n, m, n_parameters).
 
-        The forms have shape (n, n_terms, m, n_parameters), and the result has shape (n, m, n_parameters).
+        `forms` has shape (n, n_terms, m, n_parameters).
         """
         total = np.zeros((forms.shape[0], *forms.shape[2:]))
         for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
@@ -234,9 +247,9 @@ class ParametricMatrix:
         return total
 
     def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j: like `contract`, with second derivatives along d.
+        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j: the derivative of `contract` along d at fixed `forms`.
 
-        Both `d` and the result have shape (n, m, n_parameters).
+        `forms` has shape (n, n_terms, m). Both `d` and the result have shape (n, m, n_parameters).
         """
         return self.contract_twice(theta, forms[..., None] * d[:, None])
 

@@ -25,9 +25,10 @@ class Band(NamedTuple):
         Row order that makes the band narrow.
     half_width : int
         Number of diagonals on each side of the main diagonal.
-    entries, at : ndarray of int, shape (n_lower,)
-        Indices of the entries of the lower triangle in that order, and indices of these entries in the band, which
-        is stored by columns.
+    entries : ndarray of int, shape (n_lower,)
+        Indices of the stored entries that lie in the lower triangle of the reordered matrix.
+    at : ndarray of int, shape (n_lower,)
+        Positions of these entries in the band, which is stored by columns.
     """
 
     order: IntArray
@@ -38,10 +39,10 @@ class Band(NamedTuple):
 
 @lru_cache(maxsize=8)
 def find_band(indptr: bytes, indices: bytes, dtype: str) -> Band | None:
-    """Return the band for matrices with this sparsity pattern (CSR), or None if the band is too wide.
+    """Return the band for matrices with this sparsity pattern, or None if its half-width exceeds 256.
 
-    Rows are in reverse Cuthill–McKee order. The result is cached, because a model's matrices have the same pattern
-    at every theta.
+    `indptr` and `indices` contain the bytes of the CSR index arrays of type `dtype`. Rows are in reverse
+    Cuthill–McKee order. The result is cached, because a model's matrices have the same pattern at every theta.
     """
     rows, columns = np.frombuffer(indptr, dtype), np.frombuffer(indices, dtype)
     n = len(rows) - 1

@@ -44,9 +44,9 @@ _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 def n_threads() -> int:
     """Return the number of threads that PARDISO uses to factorise, from 1 to 8.
 
-    It is given by the environment variable ``MKL_NUM_THREADS`` or, if that is not set, by ``OMP_NUM_THREADS``.
-    fmu's engines and Dask set both to 1 in their workers. If no number is set, it is the number of processors that
-    this process may use.
+    The number is taken from the environment variable ``MKL_NUM_THREADS`` or, if that is not set, from
+    ``OMP_NUM_THREADS``. fmu's engines and Dask set both to 1 in their workers. If neither is a whole number, it is
+    the number of processors that this process may use.
     """
     given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -58,7 +58,11 @@ class _LargeFactorsError(Exception):
 
 
 def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFactor:
-    """Factorise a symmetric matrix, in single precision if double would take over a sixth of all memory."""
+    """Factorise a symmetric matrix.
+
+    If factors in double precision would take more than a sixth of the machine's memory, they are computed in
+    single precision, and solutions are refined. The errors are those of `Pardiso` and `RefinedFactor`.
+    """
     try:
         return Pardiso(matrix, is_definite)
     except _LargeFactorsError:

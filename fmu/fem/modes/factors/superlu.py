@@ -27,7 +27,7 @@ _counted: dict[str, int] = {}  # by the digest of a pattern: a model's matrices 
 
 
 class SuperLU:
-    """Factors L U of a symmetric matrix without pivoting. Raises LinAlgError if it is singular.
+    """Factors L U of a symmetric matrix, computed without pivoting. Raises LinAlgError if the matrix is singular.
 
     For matrices with at least `LARGE` rows, MemoryError is raised before the factorisation if the factors would
     not fit.
@@ -57,7 +57,7 @@ class SuperLU:
 
 
 def count_entries(matrix: sp.csc_array) -> int:
-    """Return how many entries L and U will have when SuperLU factorises a symmetric matrix.
+    """Return about how many entries L and U will have when SuperLU factorises a symmetric matrix.
 
     The count is cached, because it depends on the sparsity pattern alone.
     """
