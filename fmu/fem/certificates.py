@@ -89,7 +89,8 @@ class ReductionCertificate(Certificate):
     full_share : float or None
         Share of the draws that lie outside the trained box, where the true model is solved.
     frequency_elsewhere : float or None
-        Frequency tolerance where the posterior has no mass, if it differs from `frequency_tolerance`.
+        Frequency tolerance in the part of the box without noticeable posterior mass, if it differs from
+        `frequency_tolerance`.
     """
 
     log_prob_error: float

@@ -193,9 +193,9 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
 
 
 def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
-    """Raise StalledError unless a step of refinement removes at least half of the error.
+    """Raise StalledError unless each step of refinement removes at least half of the error.
 
-    A and F then have equally many negative eigenvalues.
+    If it does, A and F have equally many negative eigenvalues.
     """
     x = np.random.default_rng(0).standard_normal((A.shape[0], 1))
     kept = np.inf

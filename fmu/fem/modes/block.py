@@ -237,7 +237,7 @@ class Block:
         """Return derivatives of the lowest m shapes along q directions d each, shape (n, size, m, q).
 
         `dK_phi` and `dM_phi`, of the same shape, are ∂_dK φ and ∂_dM φ. Rotations between modes whose eigenvalues
-        are closer than `fmu.fem.modes.derivatives.CLOSE` are omitted.
+        are closer than `fmu.fem.modes.derivatives.CLOSE` are omitted, unless the block is reduced and `massless`.
         """
         raise NotImplementedError
 

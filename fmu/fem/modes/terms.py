@@ -247,9 +247,9 @@ class ParametricMatrix:
         return total
 
     def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j: the derivative of `contract` along d at fixed `forms`.
+        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j: the derivative of `contract` along d.
 
-        `forms` has shape (n, n_terms, m). Both `d` and the result have shape (n, m, n_parameters).
+        `forms`, shape (n, n_terms, m), is constant. Both `d` and the result have shape (n, m, n_parameters).
         """
         return self.contract_twice(theta, forms[..., None] * d[:, None])
 

@@ -1,13 +1,13 @@
-"""Anchor points in a parameter box: K is factorised there, and bounded elsewhere in the box by its values there.
+"""Anchor points in a parameter box, at which K + s M is factorised, and bounds relative to these points.
 
 If every term K_k is positive semidefinite, then
 
     K(θ) + s M(θ) ≥ α (K(θ̄) + s M(θ̄)),    α = min over the terms of c_k(θ) / c_k(θ̄)
 
 (the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for
-Parametrized Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box is enough if
-no stiffness parameter changes by more than a factor of about 30. If a stiffness may vanish, there are several
-anchors.
+Parametrized Partial Differential Equations*, section 4.2.2). With s > 0 the mass terms count too. One anchor θ̄ in
+the middle of the box is enough if no stiffness parameter changes by more than a factor of about 30. If a stiffness
+may vanish, there are several anchors.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ class Anchors:
     theta : ndarray, shape (n_anchors, n_parameters)
         The anchor points; the first lies in the middle of the box.
     shift : float
-        The shift s in K + s M. It is 0 if K is clearly positive definite at all anchor points; otherwise it is
-        the lowest elastic eigenvalue at the first one, or more if K is negative for some motion.
+        The shift s in K + s M. It is 0 if K is clearly positive definite at all anchor points; otherwise it is the
+        lowest elastic eigenvalue at the first one (1 if none is found), or more if K is negative for some motion.
     proven : bool
         Whether all terms in K + s M are positive semidefinite, with coefficients that are not negative in the box.
         If not, α is estimated as the smallest eigenvalue of the reduced matrices.
@@ -205,7 +205,7 @@ class Anchors:
         return self.block.run_tasks(work, self, tasks, sum(of.n_bytes for of in self._factors.values()))
 
     def _kept_factor(self, a: int) -> Factor | None:
-        """Return the factors of a large, clearly definite K, or None for any other K or if s is not 0.
+        """Return the factors of K at anchor point `a`, or None unless s = 0 and a large K is clearly definite.
 
         They are reused if the block still has them from its last solve.
         """
@@ -314,8 +314,8 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
     """Return anchor points (n_anchors, p): the middle of the box, and of its parts if a stiffness varies much.
 
     Each part is divided along the parameter with the largest ratio between its bounds, as long as that ratio
-    exceeds `_WIDE` and there are fewer than `_MOST` anchor points. Parameters that change no stiffness are not
-    divided.
+    exceeds `_WIDE` and there are fewer than `_MOST` anchor points. Parameters that change no stiffness, or may be
+    negative, do not count.
     """
     varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
     anchors, parts = [_middle(lower, upper)], [(lower, upper)]

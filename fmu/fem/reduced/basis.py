@@ -112,7 +112,10 @@ class ReducedBlock(Block):
         return row_by_row(_values, A)[0][:, :count]
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and M-normalised shapes in the basis, (n, r, count); NaN on failure."""
+        """Return eigenvalues (n, count) and M-normalised shapes in the basis, (n, r, count).
+
+        They are NaN where the solver fails, and for modes beyond the rank of M.
+        """
         A = assemble(self._K, self._K_map.coefficients(theta))
         few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
@@ -156,7 +159,7 @@ class ReducedBlock(Block):
         return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
 
     def pull_back_terms(self, theta: FloatArray, by_terms: FloatArray) -> FloatArray:
-        """Convert derivatives for K's coefficients, (n, n_terms), to derivatives for theta, (n, n_parameters)."""
+        """Convert derivatives with respect to K's coefficients, (n, n_terms), to (n, n_parameters) for theta."""
         return self._K_map.contract(theta, by_terms[..., None])[:, 0]
 
     def pull_back(self, theta: FloatArray, by_K: FloatArray, by_M: FloatArray) -> FloatArray:
@@ -182,7 +185,7 @@ class ReducedBlock(Block):
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Return sensor rows and reference shapes in an orthonormal basis; see `compress_rows` in this module."""
+        """Return at most r sensor rows, and the reference shapes there; see `compress_rows` in this module."""
         return compress_rows(rows, reference)
 
     def _slopes_seen(
@@ -206,7 +209,7 @@ class ReducedBlock(Block):
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
         """Return the shape derivatives ∂φ/∂θ, (n, r, m, n_parameters), from one linear system per mode.
 
-        They are NaN for repeated eigenvalues.
+        They are NaN where a system is singular, as for repeated eigenvalues.
         """
         n, r, count = phi.shape
         dK, dM = (
@@ -218,9 +221,9 @@ class ReducedBlock(Block):
     def _solve_borders(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
-        """Return the shape derivatives ∂φ, (n, r, m, q), from one linear system per mode, given ∂K φ and ∂M φ.
+        """Return the shape derivatives ∂φ, (n, r, m, q), along q directions, from one linear system per mode.
 
-        Both arguments have the shape of ∂φ. The q directions are along the last axis.
+        `dK` and `dM`, of the same shape, are ∂K φ and ∂M φ. The derivatives are NaN where a system is singular.
         """
         K, M = self.matrices(theta)
         slopes = np.empty(dK.shape)

@@ -3,10 +3,10 @@
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
 Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the modes at
 the anchor points. The corrections are w = Ā⁻¹ r with the factors from training. At the first point K − σ M is
-factorised. Its inertia is the number of eigenvalues below σ (Sylvester), and shows whether a mode is missing. If
-this number does not agree with the modes found, the ordinary eigensolver is used from then on. The ordinary
-eigensolver is also used where the iterations do not converge. Several points are tasks for the block's engine, if
-it has one.
+factorised. Its negative eigenvalues are as many as the λ below σ (Sylvester), so they show whether a mode is
+missing. If their number does not agree with the modes found, the ordinary eigensolver is used from then on. The
+ordinary eigensolver is also used where the iterations do not converge. Several points are tasks for the block's
+engine, if it has one.
 """
 
 from __future__ import annotations
@@ -89,9 +89,9 @@ class ConfirmedBlock(FullBlock):
         return lam, phi
 
     def _from_ritz(self, theta: FloatArray, count: int) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return the iterated modes at theta (n, p), keyed by point index, for the points that converge.
+        """Return the modes found by iteration at theta (n, p), keyed by point index, for the points that converge.
 
-        Each entry is λ (wanted,) and shapes (size, wanted). The dict is empty if a mode is missing.
+        Each entry is λ (wanted,) and shapes (size, wanted). The dict is empty if a mode was found to be missing.
         """
         started: list[int] = []
 
@@ -114,7 +114,8 @@ class ConfirmedBlock(FullBlock):
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
         """Return the initial data at theta (1, p), or None if iterations cannot start there.
 
-        They cannot if α is not positive, a reduced problem fails, or the spaces have only `count` vectors.
+        They cannot if α is not positive, a reduced problem fails, or one of the spaces, or both, has at most
+        `count` vectors.
         """
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
@@ -135,7 +136,10 @@ def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArr
 
 
 def confirm_blocks(bound: FrequencyBound) -> tuple[FullBlock, ...]:
-    """Return the full blocks behind a bound. Large blocks that were reduced are replaced by a `ConfirmedBlock`."""
+    """Return the full blocks behind a bound, with a `ConfirmedBlock` for each large block that was reduced.
+
+    Return ``bound.full`` itself if no block is large.
+    """
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:
@@ -154,7 +158,7 @@ def davidson(
     count: int,
     alpha: float,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Iterate Ritz pairs of A x = (λ + s) M x until the lowest `count` converge; return None if they do not.
+    """Iterate Ritz pairs of A x = (λ + s) M x until the lowest `count` converge.
 
     Parameters
     ----------
@@ -167,11 +171,16 @@ def davidson(
     factor : Factor
         Factors of a matrix Ā with A ≥ α Ā.
     wanted : int
-        Number of pairs to return: λ (wanted,) and vectors (n, wanted).
+        Number of pairs to return.
     count : int
         Number of lowest pairs that must converge.
     alpha : float
         The factor α.
+
+    Returns
+    -------
+    tuple of ndarray, or None
+        λ (wanted,), ascending, and M-normalised vectors (n, wanted); None if the pairs do not converge.
     """
     V = MV = np.empty((len(start[0]), 0))
     new, is_converged = np.concatenate(start, axis=1), False

@@ -99,9 +99,10 @@ class Learner:
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
         """Grow the space at theta (n, p) where needed; return a mask (n,) of the points with small enough errors.
 
-        Errors are small enough if those of the lowest m modes are at most `SHARE` times `share` times `allowed`
-        (m,). If an error exceeds `GROWN` times `share` times `allowed`, that mode's correction is added to the
-        space, unless the space is full. Points where the solver fails are not good.
+        Before the space grows, the errors of the lowest m modes must be at most `SHARE` times `share` times
+        `allowed` (m,). If an error exceeds `GROWN` times `share` times `allowed`, that mode's correction is added
+        to the space, unless the space is full. The mask is False where the solver fails. All points count as
+        visited.
         """
         allowed = share * allowed
         good = np.empty(len(theta), dtype=bool)
@@ -171,8 +172,8 @@ class Learner:
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
         """Add principal directions of the corrections C (n_dof, m) to the space, as many as errors require.
 
-        The remaining energy of each correction is then at most its `target` (m,) or the fraction `_STEP` of its
-        own energy, unless the space reaches its largest size first.
+        The remaining energy of each correction is then at most the larger of its `target` (m,) and the fraction
+        `_STEP` of its own energy, unless the space reaches its largest size first.
         """
         gram = C.T @ (self.anchors.first @ C)
         energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
@@ -201,7 +202,8 @@ class Learner:
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
         """Return a small space that reproduces the visited points' frequencies, and a rotation (q, q).
 
-        The frequencies agree within `tolerance`, unless more than `largest` vectors would be needed.
+        The frequencies agree within `tolerance` times the point's `share`, unless more than `largest` vectors
+        would be needed. The space has at least `smallest` vectors.
 
         The rotation's columns are the space's principal directions, in descending order of energy.
 
@@ -383,7 +385,7 @@ def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -
 
 
 def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:
-    """Return the relative frequency differences (n, m) between two arrays of λ; rigid-body modes have 0."""
+    """Return the relative frequency differences (n, m) between two arrays of λ, with 0 for rigid-body modes."""
     rigid = (lam <= RIGID * lam[:, -1:]) & (reduced <= 10.0 * RIGID * lam[:, -1:])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rigid, 0.0, np.abs(np.sqrt(reduced / lam) - 1.0))

@@ -28,13 +28,13 @@ def affordable(n_dof: int) -> int:
     A reduced solve with r vectors takes about 60 ns · r², and more from r = 1000 on. A sparse solve of the full
     block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with r
     = 12 √n_dof. Blocks with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all
-    vectors. Their full model is solved one theta at a time, which is never faster than a batch.
+    vectors, because a batch of reduced solves never takes longer than solving their full model.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return the largest number of trial vectors for a block: twice the affordable number, limited to 2 GiB.
+    """Return the largest number of trial vectors for a block: twice `affordable`, but at most `n_dof` or 2 GiB.
 
     A block with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors.
     """
@@ -54,8 +54,8 @@ class Trained:
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     confirmed : bool
-        False if training ended without success: errors at fresh points were not all within the tolerance. True
-        also for a model that was restored, or trained only at given points.
+        False if training ended without success (`Training.run`, `Training.narrow`). True also for a model that was
+        restored, or trained only at given points.
     anchors : mapping of int to Anchors
         Anchor points of each block, keyed by block index, if training used any.
     elsewhere : float or None
@@ -74,12 +74,12 @@ class Trained:
     shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
 
     def bound(self, full: tuple[FullBlock, ...]) -> FrequencyBound:
-        """Return bounds on the frequency errors, relative to the `full` blocks that were reduced."""
+        """Return the object that bounds the frequency errors. `full` contains the blocks before reduction."""
         return FrequencyBound(full, self.blocks, self.lower, self.upper, self.anchors, self.shared)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:
-    """Return points (m, ndim) in a box: `n` from a scrambled Sobol sequence, n/2 on the faces, and the corners.
+    """Return points (m, ndim) in a box: `n` from a scrambled Sobol sequence, n/2 mostly on faces, and the corners.
 
     If there are more than six parameters, 64 random corners replace the full set.
     """

@@ -257,7 +257,7 @@ class ReducedStructure(Approximation):
 
 
 def reduced_in(model: ModalModel) -> ReducedStructure | None:
-    """Return the model if it has a reduced basis, otherwise None."""
+    """Return the model if it is a `ReducedStructure`, otherwise None."""
     return model if isinstance(model, ReducedStructure) else None
 
 
@@ -359,7 +359,8 @@ def train_at(
 ) -> tuple[ReducedStructure, dict[str, FloatArray]]:
     """Train a reduced model only at points theta (n, n_parameters) in a box, without checking it at other points.
 
-    Return the model, and the state from which `restore` rebuilds it.
+    Return the model, and the state from which `restore` rebuilds it. Raise NoModesError if no solve succeeds, or
+    SingularAnchorError as `train` does.
     """
     training = Training(truth.full_blocks, truth.rule, lower, upper, LOOSE)
     with single_thread():

@@ -177,7 +177,10 @@ def frequency_error(
 
 
 def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
-    """Return how much descending eigenvalues ν (n, m) increase, relatively, if √(ν_i ν_j) relative_ij is added."""
+    """Return the relative increases (n, m) of the eigenvalues of diag(ν), ν (n, m) descending, when B is added.
+
+    B has the elements √(ν_i ν_j) relative_ij. An increase is at least the diagonal element of `relative`.
+    """
     size = np.sqrt(nu)
     B = size[:, :, None] * relative * size[:, None, :]
     added = B.copy()
@@ -191,7 +194,7 @@ def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
 class FrequencyBound:
     """Error bounds for a trained model's frequencies at any point in its box.
 
-    They cost at most one solve per mode.
+    They cost at most one solve per mode and point.
 
     Parameters
     ----------
@@ -217,7 +220,7 @@ class FrequencyBound:
     def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
         """Return bounds on the relative frequency errors, shape (n, m), for modes at theta (n, p).
 
-        They are 0 in blocks that are not reduced, and infinite where no bound is known.
+        They are 0 in blocks that are not reduced or whose basis is complete, and infinite where no bound is known.
         """
         error = np.full(modes.rank.shape, np.inf)
         for b in np.unique(modes.block):
@@ -227,10 +230,11 @@ class FrequencyBound:
         return error
 
     def find_far(self, theta: FloatArray, counts: Mapping[int, int], tolerance: float) -> Far | None:
-        """Return the point in theta (n, p) farthest from a block's anchor points, if bounds are poor there.
+        """Return the point in theta (n, p) farthest from a block's anchor points, if error bounds are poor there.
 
-        The error bounds of the lowest `counts` modes of each block are compared with `tolerance` at that block's
-        farthest point. Return None if no point is far, or the bounds are small enough.
+        The reduced blocks in `counts` are tried in turn: the bounds of the lowest ``counts[b]`` modes at the
+        farthest point of block b are compared with `tolerance`. Return None if, in every block, no point is far or
+        the bounds are small enough.
         """
         for b, count in counts.items():
             space, anchors = self.trial(b)
@@ -240,7 +244,10 @@ class FrequencyBound:
         return None
 
     def trial(self, b: int) -> tuple[Space, Anchors]:
-        """Return the trial space of reduced block `b` and its anchor points, factorised at the first call."""
+        """Return the trial space of reduced block `b`, and its anchor points.
+
+        Anchor points that training did not leave are chosen and factorised at the first call.
+        """
         if b not in self._anchors:
             self._anchors[b] = Anchors(self.full[b], self.lower, self.upper)
         anchors, reduced = self._anchors[b], self.reduced[b]
@@ -259,9 +266,9 @@ class FrequencyBound:
 
 
 def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:
-    """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ.
+    """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ, otherwise False.
 
-    By Sylvester's law no mode below σ is then missing. Return None if the matrix is singular. σ lies in the
+    If it has, no mode below σ is missing (Sylvester's law). Return None if the matrix is singular. σ lies in the
     relatively widest gap above one of the λ with indices `first` to `last` − 1 (to the end if `last` is None).
     """
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])

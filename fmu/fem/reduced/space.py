@@ -1,4 +1,4 @@
-"""Spaces of trial vectors, onto which every term of K and M is projected. Training solves and enlarges them."""
+"""Spaces of trial vectors, onto which every term of K and M is projected, and their eigenproblems."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Space:
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest eigenvalues λ (n, count) and M-normalised vectors y (n, r, count) at theta (n, p).
 
-        Both are NaN where the solver fails.
+        Both are NaN where the solver fails, and for modes without mass.
         """
         r, n = self.size, len(theta)
         lam, y = np.full((n, count), np.nan), np.full((n, r, count), np.nan)

@@ -106,9 +106,9 @@ class Training:
     def run(self) -> Trained:
         """Train until the errors at fresh points, including corners and faces, are small and full solves agree.
 
-        Training ends without success (`confirmed` is False) after the last round, or when it has cost as much as
-        `BUDGET` full solves. It also ends without success if the basis would be larger than `affordable`; it is
-        then truncated to that size. Raise SingularAnchorError if `Anchors` does.
+        Training ends without success (`confirmed` is False) if the errors do not become small, after the last
+        round, when it has cost as much as `BUDGET` full solves, or when a basis reaches its largest useful size
+        (`is_cut`), to which it is truncated. Raise SingularAnchorError if `Anchors` does.
         """
         counts = self.rule.counts(self.full)
         with phase("training"):
@@ -167,8 +167,8 @@ class Training:
         """Continue training to a smaller `tolerance` in a region of the box, yielding the model before each round.
 
         In each round, `region` is called for fresh points (n, n_parameters). Training ends when the errors at all
-        these points are small enough. It ends without success (`confirmed` is False) if the basis becomes larger
-        than `affordable`, if the budget is spent, or after the last round.
+        these points are small enough. It ends without success (`confirmed` is False) if a basis reaches its
+        largest useful size, if the budget is spent, or after the last round.
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
@@ -186,7 +186,8 @@ class Training:
     def at(self, theta: FloatArray) -> Trained:
         """Return a model whose large blocks have a basis built from their full modes at theta (n, n_parameters).
 
-        The basis has the largest useful number of vectors. Its accuracy away from these points is not checked.
+        The basis has at most the largest useful size. Its accuracy away from these points is not checked. Raise
+        NoModesError if no solve succeeds, or SingularAnchorError if `Anchors` does.
         """
         centre = 0.5 * (self.lower + self.upper)
         for b, count in self.rule.counts(self.full).items():
@@ -209,8 +210,8 @@ class Training:
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays from which `restore` rebuilds the trained model, keyed by name.
 
-        ``elsewhere`` is the tolerance outside the region, if there is one. ``far`` contains the fields of `Far`
-        except theta: the parameter, and the limit beyond which error bounds are poor.
+        ``elsewhere`` is the tolerance outside the region, if there is one; ``far`` has the fields of `Far` after
+        theta.
         """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
         if self.is_narrow:
@@ -246,7 +247,10 @@ class Training:
         return training.current()
 
     def _visit(self, enough: int) -> bool:
-        """Visit fresh points until the errors at `enough` consecutive points are small; return True on success."""
+        """Visit fresh points until the errors at `enough` consecutive points are small; return True on success.
+
+        Return False after `_MOST_POINTS` points, if the budget is spent, or if a space does not or cannot grow.
+        """
         good = visited = 0
         with phase("training") as under_way:
             while good < enough and visited < _MOST_POINTS:
@@ -311,7 +315,7 @@ class Training:
 
     @property
     def is_accurate(self) -> bool:
-        """Whether training ended neither because of the largest basis size nor because of its budget."""
+        """Whether neither the largest basis size nor the budget has limited training."""
         return not (self.is_cut() or self.is_spent)
 
     def prefers_full(self) -> bool:
@@ -337,7 +341,7 @@ class Training:
     def _affordable(self, b: int) -> int:
         """Return the largest useful basis size for block `b`.
 
-        For a large block, its solves cost at most a third of full solves.
+        If the block is large, a reduced solve costs at most a third of a full solve.
         """
         most = affordable(self.full[b].size)
         return min(most, self.costs[b].most_vectors()) if b in self.costs else most
@@ -366,10 +370,9 @@ class Training:
         return mass_orthonormal(block, cut.V @ order, centre)
 
     def _verify(self, round_: int) -> bool:
-        """Return True if full solves at fresh points agree; add the modes at points where frequencies do not.
+        """Return True if full solves at fresh points agree: in frequencies, pairing and the number of low modes.
 
-        Solves agree if the frequencies are within the tolerance, and the pairing and the number of low modes are
-        the same.
+        Where frequencies differ by more than the tolerance, the full model's modes are added to the space.
         """
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)

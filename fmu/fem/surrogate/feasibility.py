@@ -101,7 +101,10 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
 def _bounds_of(
     tree: DecisionTreeClassifier, inside: BoolArray, theta: FloatArray, scale: FloatArray, names: Sequence[str]
 ) -> str:
-    """Return a phrase with the bounds of the tree leaf that contains the points `inside` (N,)."""
+    """Return a phrase with the bounds of the tree leaf that contains the points `inside` (N,).
+
+    Return "nearly everywhere" if the leaf has no bounds.
+    """
     path = np.flatnonzero(tree.decision_path(theta[inside][:1] / scale).toarray()[0])
     lowest: dict[int, float] = {}
     highest: dict[int, float] = {}

@@ -54,10 +54,12 @@ class Process:
     Attributes
     ----------
     log_likelihood : float
-        Log marginal likelihood of the scaled quantities; `n_hyper` is the number of hyper-parameters.
+        Log marginal likelihood of the scaled quantities.
+    n_hyper : int
+        Number of free hyper-parameters.
     caution : float
-        Factor applied to the variances, at least 1: the mean square of the standardised leave-one-out errors
-        (Rasmussen & Williams, eq. 5.12).
+        Factor applied to the variances: the mean square of the standardised leave-one-out errors (Rasmussen &
+        Williams, eq. 5.12), but at least 1.
     left_out_error : float
         Root mean square of the leave-one-out errors, in units of y.
     unit : ndarray, shape (q,)
@@ -172,7 +174,7 @@ class Process:
         return self._trend * own + self._smooth - np.sum(u**2, axis=1)
 
     def _variance(self, scaled: FloatArray) -> FloatArray:
-        """Convert scaled variances (n,), or their derivatives, to units of y², (n, q, …), times `caution`.
+        """Convert scaled variances (n,), or derivatives (n, 1, d), to units of y², (n, q, …), times `caution`.
 
         Variances that are negative by rounding are set to zero.
         """

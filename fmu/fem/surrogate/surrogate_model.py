@@ -71,8 +71,9 @@ class SurrogateModel(ModalModel):
     reference : ndarray, shape (n_sensors, n_modes), optional
         Measured shapes, which determine the signs. If they are not given, shapes are not predicted.
     before : SurrogateModel, optional
-        A surrogate with a smaller design; the search for hyper-parameters begins at its values. Without 15 % more
-        successful solves, its hyper-parameters are kept.
+        A surrogate with a smaller design. Its hyper-parameters are kept until there are 15 % more successful
+        solves than at their last search; a new search then begins at their values. It is ignored if it has other
+        close pairs.
 
     Attributes
     ----------
@@ -188,7 +189,7 @@ class SurrogateModel(ModalModel):
 
     @property
     def scatter(self) -> FloatArray:
-        """Standard deviations of the solver's scatter in the quantities that the processes predict, (n_modes,)."""
+        """Standard deviations (n_modes,) of the solver's scatter in the values of the frequency processes."""
         return np.concatenate([p.scatter for p in self.of_frequencies])
 
     def configuration(self) -> dict[str, object]:
