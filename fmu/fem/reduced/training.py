@@ -210,8 +210,7 @@ class Training:
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays from which `restore` rebuilds the trained model, keyed by name.
 
-        ``elsewhere`` is the tolerance outside the region, if there is one; ``far`` has the fields of `Far` after
-        theta.
+        ``elsewhere`` is the tolerance outside the region, if any; ``far`` has the fields of `Far` after theta.
         """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
         if self.is_narrow:
@@ -329,10 +328,7 @@ class Training:
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
-        """Visit theta (n, p) in block `b`, and return a mask (n,) of the points with small enough errors.
-
-        See `Learner.visit`.
-        """
+        """Visit theta (n, p) in block `b` as `Learner.visit` does, add the cost to `spent`, and return its mask (n,)."""
         allowed = self._allowed_errors(b)
         if b in self.costs:
             self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))
