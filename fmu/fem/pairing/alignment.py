@@ -196,7 +196,7 @@ def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return the angle in degrees and the axis (3,) of the rotation matrix R; the axis is zero if R is 1."""
+    """Return the angle in degrees and the axis (3,) of the rotation matrix R; the axis is zero if the angle is."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

@@ -53,8 +53,7 @@ def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray
 
     Both have shape (n_sensors, n_modes). Each measured shape φ, which must not be zero, is multiplied by the
     factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the scaled computed shape: c is the median of ψ_j/φ_j
-    with weights
-    |φ_j|. A computed shape that is zero at all sensors stays zero.
+    with weights |φ_j|. A computed shape that is zero at all sensors stays zero.
     """
     size = np.sqrt(np.mean(computed**2, axis=0))
     psi = np.divide(computed, size, out=np.zeros_like(computed), where=size > 0)
@@ -86,8 +85,7 @@ def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return each sensor's enhanced CoMAC (Hunt 1992, IMAC X), shape (n_sensors,).
 
     ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the computed shape's root mean square. It is
-    0 where the shapes are equal in sign and size, and as large as the component itself where only the sign is
-    wrong.
+    0 where the shapes are equal in sign and size, and the mean of |ψ_jk| where only the signs are wrong.
     """
     phi, psi = scale_shapes(measured, computed)
     return np.asarray(0.5 * np.mean(np.abs(phi - psi), axis=1))
@@ -235,7 +233,7 @@ class Correlation:
         return ecomac(self.measured[order], self.computed)
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return warnings about swapped sensors and about the worst other suspects, at most five."""
+        """Return warnings about two swapped sensors, if any, and about the other suspects, at most the five worst."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         if self.exchanged:

@@ -63,9 +63,9 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Return the reason why the full model fails, or None if it does not.
+    """Return the reason why the full model fails, or None if no reason is found.
 
-    The full model is the one that matters, because it is solved whenever a reduced model fails.
+    A reduced model is not examined, because the full model is solved wherever it fails.
     """
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():
@@ -78,7 +78,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return why a block fails and, if one degree of freedom is to blame, its index.
+    """Return why a block fails and, if one degree of freedom is to blame, its index in the model.
 
     Return None if the block can be solved.
     """

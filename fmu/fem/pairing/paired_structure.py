@@ -211,8 +211,8 @@ class PairedStructure(ModalModel):
     def _compared(self) -> dict[int, Observation]:
         """Comparison coordinates and reference shapes, keyed by block; only for a pairing by shape.
 
-        Shapes are compared at the sensors if shapes were measured, otherwise in a basis of all shapes that a
-        reduced block can have.
+        Shapes are compared at the sensors if shapes were measured, otherwise at all translations, which are
+        compressed in a reduced block (`Block.compress_rows`).
         """
         assert self.rule.by_shape  # for the type checker
         found = {}
@@ -311,14 +311,17 @@ class PairedStructure(ModalModel):
 
     @property
     def solver(self) -> str:
-        """Name of the solver for the largest block: LAPACK if its matrices are dense, otherwise a sparse one."""
+        """Name of the solver for matrices of the largest block's size, if they have no narrow band.
+
+        It is LAPACK for up to `DENSE_LIMIT` degrees of freedom, otherwise the sparse solver in use.
+        """
         largest = max(block.size for block in self.blocks)
         return sparse_solver() if largest > DENSE_LIMIT else LAPACK
 
     def shapes(self, theta: FloatArray) -> FloatArray:
         """Return the mass-normalised shapes of the paired modes at theta (n_parameters,), shape (n_dof, n_modes).
 
-        A shape is zero outside its mode's block, and NaN where a solve failed.
+        A shape is zero outside its mode's block, and NaN in it if the block cannot be solved.
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)

@@ -29,12 +29,12 @@ class ModalPrediction:
     ----------
     frequencies : ndarray, shape (n, n_modes), Hz; NaN where a solve failed
     shapes : ndarray, shape (n, n_sensors, n_modes)
-        Shapes at the sensors, of either sign: mass-normalised for a structure given by matrices, of unit length
-        for a surrogate, and in the function's scale for a user's function.
+        Shapes at the sensors, with arbitrary signs: mass-normalised for a structure given by matrices, of unit
+        length for a surrogate, and in the function's scale for a user's function.
     frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
     frequency_variance, shape_variance : ndarray, shaped like frequencies (Hz²) and shapes, or None
-        Variances of a surrogate's errors, which are mutually independent; None if the model is no surrogate.
+        Variances of a surrogate's errors, which are mutually independent; None if the model is not a surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
     """
 
@@ -112,7 +112,7 @@ def predict_modes(
 ) -> ModalPrediction:
     """Return the paired modes at the sensors from a full or reduced model, with derivatives if `gradient`.
 
-    All are NaN where a solve failed.
+    A mode and its derivatives are NaN where its solve failed.
 
     Parameters
     ----------

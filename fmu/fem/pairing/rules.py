@@ -81,7 +81,7 @@ class RankPairing(Pairing):
     is_constant: ClassVar[bool] = True
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of each block's lowest modes must be computed; blocks without paired ones are absent."""
+        """Return how many of each block's lowest modes must be computed; blocks without paired modes are left out."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
 
@@ -235,7 +235,7 @@ class ShapePairing(Pairing):
     ) -> ModalSolution:
         """Return the modes assigned by MAC, from all blocks in which a reference shape is nonzero.
 
-        If one of these blocks cannot be solved at a theta, all modes there are NaN.
+        If one of these blocks cannot be solved at a theta, all eigenvalues there are NaN.
         """
         solved, merged, (block, rank, column) = self._solve(blocks, theta, False, observed)
         # where a block failed, modes of other blocks must not take its references
