@@ -233,7 +233,7 @@ class Correlation:
         return ecomac(self.measured[order], self.computed)
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return warnings about two swapped sensors, if any, and about the other suspects, at most the five worst."""
+        """Return warnings about two swapped sensors, if any, and about the five worst of the other suspects."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         if self.exchanged:

@@ -81,7 +81,7 @@ class RankPairing(Pairing):
     is_constant: ClassVar[bool] = True
 
     def counts(self, blocks: Sequence[Block]) -> dict[int, int]:
-        """Return how many of each block's lowest modes must be computed; blocks without paired modes are left out."""
+        """Return how many of a block's lowest modes must be computed, for each block that has paired modes."""
         pairs = sorted(zip(self.block, self.rank, strict=True))
         return {block: rank + 1 for block, rank in pairs}
 

@@ -328,7 +328,7 @@ class Training:
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
-        """Visit theta (n, p) in block `b`, add the cost to `spent`, and return the mask (n,) of `Learner.visit`."""
+        """Visit theta (n, p) in block `b`, add the cost to `spent`, and return the mask (n,) of good points."""
         allowed = self._allowed_errors(b)
         if b in self.costs:
             self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))
