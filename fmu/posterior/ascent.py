@@ -49,7 +49,7 @@ class GaussNewton:
 
     By default u = (θ − offset)/scale. With the residuals r (errors divided by their standard deviations) and their
     Jacobian J, ∇²V is approximated by JᵀJ plus the prior's curvature; the terms r_i ∇²r_i are neglected (Nocedal &
-    Wright 2006, section 10.3). Inferred standard deviations contribute their Fisher information (Fisher scoring).
+    Wright 2006, section 10.3). Inferred error parameters contribute their Fisher information (Fisher scoring).
     """
 
     def __init__(self, problem: Posterior, scaled: ScaledDensity | None = None) -> None:

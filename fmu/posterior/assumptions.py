@@ -1,4 +1,4 @@
-"""State a posterior's assumptions in words and numbers, from a problem's configuration stored in a trace."""
+"""State a posterior's assumptions in words and numbers, given the configuration of its problem as a dict."""
 
 from __future__ import annotations
 
@@ -185,7 +185,10 @@ def _errors(
 
 
 def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
-    """Return known sds as text: in per cent for relative, in Hz for absolute frequency errors, else as numbers."""
+    """Return known sds as text.
+
+    Relative frequency errors are in per cent, absolute ones in Hz, and other errors without a unit.
+    """
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")

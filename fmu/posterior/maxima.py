@@ -277,7 +277,10 @@ def _distinct(problem: Posterior, tops: Iterable[Maximum]) -> tuple[Maximum, ...
 
 
 def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum:
-    """Return the maximum that L-BFGS-B reaches from a scaled point (ndim,)."""
+    """Return the maximum that L-BFGS-B reaches from a scaled point (ndim,).
+
+    `starts` is the number of ascents that are counted as ending there.
+    """
     from scipy.optimize import minimize
 
     def negative(u: FloatArray) -> tuple[float, FloatArray]:

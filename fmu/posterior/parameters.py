@@ -22,7 +22,7 @@ DIMENSIONS = ("chain", "draw")
 @check_arguments
 @dataclass(frozen=True)
 class Parameter:
-    """An uncertain quantity of the model.
+    """An uncertain quantity of the model or of its errors.
 
     Attributes
     ----------
@@ -85,13 +85,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Smallest value with a positive, finite prior density: `lower`, or else the next float above it."""
+        """Smallest value with a finite log-prior: `lower`, or the next float above if it is infinite there."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Largest value with a positive, finite prior density: `upper`, or else the next float below it."""
+        """Largest value with a finite log-prior: `upper`, or the next float below if it is infinite there."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 

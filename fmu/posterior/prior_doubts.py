@@ -36,8 +36,8 @@ class Fit(NamedTuple):
     median, spread : float
         Median of the truncated prior, and half the width of its central 68 % interval, in the parameter's unit.
     is_flat : bool
-        Whether the median of the truncated prior is within a tenth of the bounds' distance from their middle. A
-        prior with a small `mass` is then taken to be flat.
+        Whether both bounds are finite and the median of the truncated prior differs from their midpoint by less
+        than a tenth of the distance between them. A prior with a small `mass` is then taken to be flat.
     """
 
     mass: float
@@ -135,7 +135,7 @@ def _doubt(names: list[str], one: Parameter) -> str:
         )
     scale = one.upper - one.lower if np.isfinite(one.upper - one.lower) else abs(fit.centre)
     if fit.spread < NARROW * scale:
-        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, which has the error
+        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the problem file
         return (
             f"{_priors(names)} {_centre(one, fit)} with a standard deviation of {sd}: so narrow that "
             "the data cannot move the parameter. Check the unit of the standard deviation; if the value is known "

@@ -60,8 +60,9 @@ class UpdatingProblem(Posterior):
         default, as in the paper. For frequencies, `beta` must not be given if `data` have standard deviations or a
         covariance.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
-        ``"frequency"``: ε = f − f^m in Hz. ``"modal-residual"``: the residual of eq. (2) at the sensors, a
-        pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`).
+        ``"frequency"``: ε = f − f^m in Hz, where f is the computed and f^m the measured frequency.
+        ``"modal-residual"``: the residual of eq. (2) at the sensors, a pseudo-likelihood that needs measured
+        shapes and a SeparableModel (`fmu.posterior.errors.residual`).
         Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
         `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors`.
         If only masses or displacements are given, the frequencies keep their default errors. If only frequency
@@ -71,7 +72,7 @@ class UpdatingProblem(Posterior):
         Model discrepancy, in addition to measurement errors.
     name : str
     layout : Layout, optional
-        The map from theta to the structural parameters in each of several tests; the identity by default.
+        The map from theta to the structural parameters in each of several tests. By default there is one test.
 
     Attributes
     ----------
@@ -210,7 +211,7 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
-        """Return the same problem updated with the named modes only. It shares any reduced model.
+        """Return the same problem updated with the named modes only. Both problems share any reduced model.
 
         Parameters
         ----------

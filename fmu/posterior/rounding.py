@@ -141,7 +141,8 @@ def bounded_rounding(problem: Posterior) -> Rounding | None:
 def require_digits(problem: Posterior) -> None:
     """Raise ValueError if rounding errors exceed the measurement errors; warn if they are not negligible.
 
-    Also raise ValueError if the model is a structure and the log-probability at the starting point is not finite.
+    Also raise ValueError if the model has matrices and the log-probability at the starting point is not finite, or
+    as `rounding` does. The warning is not repeated for a reduced model if the full model gives it too.
 
     Warns
     -----

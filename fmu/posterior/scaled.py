@@ -1,4 +1,4 @@
-"""Log-densities in scaled coordinates: affine, or logarithmic (for ascents if log-normal priors are wide)."""
+"""Log-densities in scaled coordinates, which are affine or, for log-normal priors, logarithmic."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class LogarithmicDensity:
 
 
 def clip_to_support(scaled: ScaledDensity, problem: Posterior) -> ScaledDensity:
-    """Limit theta in `scaled` to values with positive prior density. This changes and returns `scaled` itself."""
+    """Limit theta in `scaled` to `Posterior.support`, where the log-prior is finite; return `scaled` itself."""
     scaled.theta_lower, scaled.theta_upper = problem.support
     return scaled
 

@@ -5,8 +5,9 @@ the blocks
 
     H_mm,  H_zm,t  and  H_zz,t,
 
-and zeros between the scores of two different tests. Systems with this matrix are solved with the Schur complement
-H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t. The cost is proportional to the number of tests.
+and zeros between the scores of two different tests (correlation in time is ignored there). Systems with this
+matrix are solved with the Schur complement H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t. The cost is proportional to the
+number of tests.
 """
 
 from __future__ import annotations

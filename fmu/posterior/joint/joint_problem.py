@@ -99,7 +99,7 @@ def JointProblem(  # capitalised because it constructs a problem
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are only for
         a single test. `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors` must name the test in which the
         mass was weighed, or the displacement or the FRFs were measured: ``fmu.MassErrors(32.5e3, sd=300.0,
-        test="autumn")``. Damping parameters follow the model's parameters, and `varies` may name them too.
+        test="autumn")``. Damping parameters are appended to `parameters`, and `varies` may name them too.
 
     Returns
     -------
@@ -175,9 +175,9 @@ def simulate_next_test(
         Name of the test whose configuration, group, modes and error models the further test has. Default: the
         first test.
     covariates : mapping of str to float, optional
-        Covariates in the further test. A covariate without an entry is set to its mean over the tests. A covariate
-        that serves as time is set to a time after the last test (`InTime.next_scores`), or to the last test's time
-        for an undated loss.
+        Covariates in the further test. The default of each is its mean over the tests. For times there are other
+        defaults: the time of a population that is correlated in time lies after the last test
+        (`InTime.next_scores`), and the time of an undated loss is the time of the last test.
 
     Returns
     -------

@@ -241,7 +241,7 @@ class Layout:
         theta : ndarray, shape (n, n_parameters)
         rng : Generator
         scores : ndarray, shape (n, n_populations)
-            The further test's scores, drawn by `draw_scores`.
+            The further test's standardised values in the populations.
         like : int
             Index of an existing test. The further test belongs to the same group.
         covariates : mapping of str to float
@@ -329,7 +329,7 @@ class Layout:
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the gradient of `log_prior`, (n, ndim). `independent`, the independent one, is overwritten."""
+        """Change `independent`, the gradient for independent parameters, to `log_prior`'s gradient; return it."""
         gradient = independent
         for one in self._centred:
             by_score, by_centre, by_width = one.log_prior(theta)[1]

@@ -173,7 +173,7 @@ class ModelInTests(ModalModel):
         return type(self)(both, self.tests, self.n_structural, self.n_modes)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first model whose matrices depend on structural parameter `k`, and its index of `k`.
+        """Return the first model whose matrices depend on structural parameter `k`, and the index of `k` there.
 
         Return None if no matrices depend on it.
         """

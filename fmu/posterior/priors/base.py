@@ -64,7 +64,7 @@ class Prior(ABC):
 
     @abstractmethod
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds."""
+        """Return the log-probability between two bounds; ``-inf`` if it is zero or underflows."""
 
     @abstractmethod
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:

@@ -48,11 +48,11 @@ class HalfNormal(Prior):
         return self.at, np.inf
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x."""
+        """Return the normalised log-density at each x; ``-inf`` below `at`."""
         return np.where(x >= self.at, self.gaussian.log_pdf(x) + np.log(2.0), -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density at each x, −(x − at)/sd²."""
+        """Return the derivative of the log-density at each x, −(x − at)/sd²; NaN below `at`."""
         return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
@@ -143,13 +143,13 @@ class LogNormal(Prior):
         return 0.0, np.inf
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x."""
+        """Return the normalised log-density at each x; ``-inf`` unless x is positive."""
         with np.errstate(divide="ignore", invalid="ignore"):
             log_x = np.log(x)
             return np.where(x > 0.0, self.gaussian.log_pdf(log_x) - log_x, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density at each x, −(1 + z/sigma)/x."""
+        """Return the derivative of the log-density at each x, −(1 + z/sigma)/x; NaN unless x is positive."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 

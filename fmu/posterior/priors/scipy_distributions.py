@@ -118,14 +118,17 @@ class ScaledBeta(InvertedPrior):
         return self.low, self.high
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x."""
+        """Return the normalised log-density at each x; ``-inf`` outside [low, high] and where it is infinite."""
         t, s = self._parts(x)
         with np.errstate(all="ignore"):
             value = xlogy(self.a - 1.0, t) + xlogy(self.b - 1.0, s) + self._constant
         return np.where((t >= 0.0) & (s >= 0.0) & (value < np.inf), value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density, (a − 1)/(x − low) − (b − 1)/(high − x)."""
+        """Return the derivative of the log-density, (a − 1)/(x − low) − (b − 1)/(high − x).
+
+        It is NaN outside [low, high] and where it is infinite.
+        """
         t, s = self._parts(x)
         with np.errstate(all="ignore"):
             left = np.zeros_like(t) if self.a == 1.0 else (self.a - 1.0) / t
@@ -209,13 +212,16 @@ class ScipyPrior(InvertedPrior):
         return float(low), float(high)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x."""
+        """Return the normalised log-density at each x; ``-inf`` outside the support and where it is infinite."""
         with np.errstate(all="ignore"):
             value = self.distribution.logpdf(x)
         return np.where(value < np.inf, value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density at each x, by finite differences."""
+        """Return the derivative of the log-density at each x, by finite differences.
+
+        It is NaN where it is not finite, and where `log_pdf` is ``-inf``.
+        """
         low, high = self.support
         with np.errstate(all="ignore"):
             centre = np.clip(x, low + _EDGE * self._spread, high - _EDGE * self._spread)

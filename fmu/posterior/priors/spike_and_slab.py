@@ -100,7 +100,7 @@ class SpikeAndSlab(InvertedPrior):
         return {"distribution": "spike-and-slab", **own}
 
     def _logit_cdf(self, z: FloatArray) -> FloatArray:
-        """Return the log-odds log(F/(1 − F)) of the distribution function F at mean + z, exact in both tails."""
+        """Return the log-odds log(F/(1 − F)) of the distribution function at mean + z, accurate in both tails."""
         weights = np.log([1.0 - self.share, self.share])
         below, above = (
             np.logaddexp(weights[0] + log_ndtr(s * z / self.spike), weights[1] + log_ndtr(s * z / self.sd))

@@ -43,8 +43,9 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
 def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
 
-    The points lie on rays from every plausible local maximum, in random directions of the Laplace approximation.
-    On each ray, the point is where the log-probability has decreased by a random amount, or at the bounds.
+    The points lie on rays from every plausible local maximum, in random directions drawn from the Laplace
+    approximation. On each ray, the point is where the log-probability has decreased by a random amount, or at the
+    bounds.
 
     Parameters
     ----------

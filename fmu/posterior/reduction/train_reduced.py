@@ -1,4 +1,4 @@
-"""Train a problem's reduced model, which is accurate in a box and more so where the posterior has its mass."""
+"""Train a problem's reduced model. It is most accurate where the posterior has its mass."""
 
 from __future__ import annotations
 

@@ -58,9 +58,9 @@ class Conditionals(NamedTuple):
     noise_prior : JointPrior
         Prior of the error parameters.
     populations : PopulationsGivenValues
-    walks : WalksGivenValues, optional
-        Steps for all populations, if the candidates of `populations` are missing or rarely accepted for some.
-        None if values are correlated in time.
+    walks : WalksGivenValues or None
+        Steps for all populations, if the candidates of `populations` are missing or rarely accepted for some. None
+        if all are accepted often enough, or if values are correlated in time.
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
@@ -99,11 +99,11 @@ def scatter_about_typical(
     """Return `n` starting points about the typical point of a hierarchical posterior, shape (n, ndim).
 
     Main parameters are drawn from their fitted normal distribution and scores from their normal approximations,
-    both widened by the factor `dispersion`. Correlation times are drawn from their priors, and dates of sudden
-    losses are proposed by `DateOfEvent`. A point is accepted if it is inside the bounds, its density is finite,
-    and its main parameters are about as probable as draws from that distribution. Otherwise it is moved halfway to
-    the typical point, repeatedly. After `_HALVINGS` rejections it is the typical point, with the drawn times and
-    dates.
+    both widened by the factor `dispersion`. Error parameters are multiplied by log-normal factors. Correlation
+    times are drawn from their priors, and dates of sudden losses are proposed by `DateOfEvent`. A point is
+    accepted if it is inside the bounds, its density is finite, and its main parameters are about as probable as
+    draws from the normal distribution. Otherwise it is moved halfway to the typical point, repeatedly. After
+    `_HALVINGS` rejections it is the typical point, with the drawn times and dates.
     """
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores

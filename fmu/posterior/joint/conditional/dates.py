@@ -91,7 +91,7 @@ class DateOfEvent:
         self._low, self._high = box(every)
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the log-prior density of date and losses, shape (n,), at theta (n, ndim)."""
+        """Return the log-prior density of the date and the losses, shape (n,), at theta (n, ndim)."""
         return self._prior.log_pdf(theta[:, self._columns])
 
     def propose(

@@ -191,7 +191,7 @@ class Normal(NamedTuple):
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
     def standardise(self, z: FloatArray) -> FloatArray:
-        """Transform scores z to standardised straightened scores, both of shape (n, n_tests, p)."""
+        """Transform scores z to independent standard normal numbers, shape (n, n_tests, p)."""
         return np.einsum("ntji,ntj->nti", self.factor, self.straighten(z) - self.mean)
 
     def restore(self, u: FloatArray) -> FloatArray:
@@ -252,7 +252,7 @@ class ScoresGivenMain:
         self.bend, self.curvature = bend, curvature
 
     def log_prior(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
-        """Return the log-prior of each test's scores given main parameters and `scales`, shape (n, n_tests).
+        """Return the log-prior of each test's scores, shape (n, n_tests), given the main parameters and `scales`.
 
         Constants, and terms that depend only on the scales, are left out. `scales` is as in `Linear`.
         """

@@ -91,7 +91,7 @@ class WalksGivenValues:
         return found
 
     def _move_centres(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return theta (n, ndim) with proposed centres, and the log-determinant (n,) of their derivatives."""
+        """Return theta (n, ndim) with proposed centres, and the log-determinant (n,) of the move's Jacobian."""
         weights = np.stack([np.sum(one.scored / theta[:, one.widths] ** 2, axis=1) for one in self._drawn], axis=1)
         noise = rng.standard_normal(weights.shape)
         if self._layout.correlation is not None:
@@ -102,12 +102,12 @@ class WalksGivenValues:
         return _replace(theta, self._centres, new), np.einsum("ni,i->n", step, self._of_logarithm)
 
     def _move_widths(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return theta (n, ndim) with proposed sds, and the log-determinant (n,) of their derivatives."""
+        """Return theta (n, ndim) with proposed sds, and the log-determinant (n,) of the move's Jacobian."""
         step = self._of_widths * rng.standard_normal((len(theta), len(self._widths)))
         return _replace(theta, self._widths, theta[:, self._widths] * np.exp(step)), np.einsum("ni->n", step)
 
     def _move_correlations(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return theta (n, ndim) with proposed partial correlations, and the move's log-determinant, (n,)."""
+        """Return theta (n, ndim) with proposed partial correlations, and the Jacobian's log-determinant, (n,)."""
         now = theta[:, self._partial]
         new = np.tanh(np.arctanh(now) + self._of_partial * rng.standard_normal(now.shape))
         with np.errstate(divide="ignore"):
@@ -116,7 +116,7 @@ class WalksGivenValues:
 
 
 def _replace(theta: FloatArray, columns: IntArray, values: FloatArray) -> FloatArray:
-    """Return a copy of theta (n, ndim) with other values (n, n_columns) in some columns."""
+    """Return a copy of theta (n, ndim) with `values`, (n, n_columns), in `columns`."""
     theta = theta.copy()
     theta[:, columns] = values
     return theta

@@ -129,7 +129,7 @@ class InTime:
     def correlation_times(self, theta: FloatArray) -> FloatArray:
         """Return the correlation time T, shape (n, 1), at theta (n, n_parameters).
 
-        T is at least a small value at which scores are already independent.
+        A very small T is replaced by a larger one at which the scores are already independent.
         """
         column = self.column
         found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
@@ -213,9 +213,9 @@ class InTime:
     ) -> FloatArray:
         """Return a further test's score (n,), given its innovation e (n,) and the other tests' scores z (n, m).
 
-        `covariates` gives its time; by default it follows the last test after the median time between tests. If it
-        lies between two tests, its score depends on the scores of both. At the time of a test, it has that test's
-        score.
+        `covariates` gives the time of the further test. The default is the time of the last test plus the median
+        time between tests. If the time lies between two tests, the score depends on the scores of both. If it is
+        the time of a test, the score is the score of that test.
         """
         time = covariates.get(self.by, float(self.times[-1] + np.median(np.diff(self.times))))
         k = int(np.searchsorted(self.times, time))

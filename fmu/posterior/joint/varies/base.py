@@ -49,7 +49,7 @@ class Role(NamedTuple):
 
 
 class Slope(NamedTuple):
-    """Derivatives of the values in the tests, the value in each test with respect to one parameter of theta.
+    """Derivatives of the values in the tests with respect to one parameter of theta in each test.
 
     Attributes
     ----------
@@ -138,11 +138,11 @@ class InTests:
         raise NotImplementedError
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the parameter's values (n,) at each theta in a further test that resembles test number `like`."""
+        """Return the parameter's values (n,) at each theta in a further test like the test with index `like`."""
         return self(theta)[0][:, like]
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) compared with the reference test, without trends and scatter."""
+        """Return the relative losses (n, n_tests) compared with test `reference`, without trends and scatter."""
         value = self(theta)[0]
         return np.asarray(1.0 - value / value[:, [reference]])
 

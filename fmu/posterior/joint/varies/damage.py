@@ -36,8 +36,8 @@ class Damage(Varies):
     Attributes
     ----------
     prior : Prior, optional
-        Prior of each loss, between −0.5 and 0.95. Default: normal with mean 0 and standard deviation 0.3. If
-        few parameters are expected to be damaged, use `fmu.SpikeAndSlab(share)`, where ``share`` is the
+        Prior of each loss, which is truncated at −0.5 and 0.95. Default: normal with mean 0 and standard deviation
+        0.3. If few parameters are expected to be damaged, use `fmu.SpikeAndSlab(share)`, where ``share`` is the
         probability that a parameter is damaged. This prior shrinks small losses to zero and hardly changes
         large losses. (With a horseshoe prior and precise tests, HMC did not converge.)
     scatter : Population, optional
@@ -82,7 +82,7 @@ class Damage(Varies):
 
 
 def loss_parameter(name: str, prior: Prior | None) -> Parameter:
-    """Return a relative loss as a parameter of theta; see `Damage` for the default prior."""
+    """Return a relative loss as a parameter of theta; `Damage` gives its bounds and default prior."""
     prior = Normal(_SD) if prior is None else prior
     start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
     return Parameter(name, start, _LOWEST, _HIGHEST, prior)

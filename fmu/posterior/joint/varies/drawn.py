@@ -102,7 +102,7 @@ class Drawn(InTests):
         return found
 
     def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return minus the second derivative of each score's log-density, (n, n_tests), ignoring the bounds."""
+        """Return minus the second derivative of each score's log-density, (n, n_tests). Bounds are ignored."""
         value, (_, width), (_, blend), _ = self._at(theta)
         return np.broadcast_to((blend / width) ** 2, value.shape)
 

@@ -74,7 +74,7 @@ class Law:
         raise NotImplementedError
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
-        """Return error messages if the law contradicts the range of the covariate `name` in the tests.
+        """Return error messages if the law does not fit the range of the covariate `name` in the tests.
 
         The covariate's known values and medians range from `low` to `high`.
         """

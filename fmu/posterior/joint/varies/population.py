@@ -34,8 +34,8 @@ class Population(Varies):
     distribution : {"normal", "log-normal"}
         Distribution of the values over the tests, truncated to the parameter's bounds. For ``"normal"``, the mean
         and the standard deviation (in the parameter's unit) are inferred. For ``"log-normal"``, the median and the
-        standard deviation of the logarithm are inferred. The mean or median has the parameter's own prior and
-        bounds.
+        standard deviation of the logarithm are inferred. All these are values before truncation. The mean or
+        median has the parameter's own prior and bounds.
     sd : Prior, optional
         Prior of the inferred standard deviation. Default: half-normal, with a scale of a fifth of the parameter's
         starting value, or of 0.2 for ``"log-normal"``.
@@ -58,7 +58,8 @@ class Population(Varies):
     Raises
     ------
     ValueError
-        If the distribution is unknown, or `by` is given without a correlation time.
+        If the distribution is unknown, a known correlation time is not positive and finite, or `by` is given
+        without a correlation time.
     """
 
     distribution: Literal["normal", "log-normal"] = "normal"

@@ -73,7 +73,7 @@ class Held(InTests):
         return None
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the parameter's own prior, (n_tests,) each."""
+        """Return the limits of the prior's box (`Prior.box`), (n_tests,) each."""
         p = self.parameter
         low, high = p.prior.box(p.lower, p.upper)
         return np.full(self.n_tests, low), np.full(self.n_tests, high)
@@ -85,7 +85,7 @@ class Shared(Varies):
     kind: ClassVar[str] = SHARED
 
     def place_of(self, test: Test) -> str:
-        """Return the name of the test or group that has its own value; empty if all tests share one value."""
+        """Return the name of the test or group whose own value `test` has; empty if all tests share one value."""
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:

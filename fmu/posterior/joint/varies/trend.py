@@ -146,7 +146,7 @@ def in_common(names: Sequence[str]) -> str:
 
 
 def find_mistakes_of_slopes(slopes: Slopes, names: Sequence[str], tests: Sequence[Test]) -> list[str]:
-    """Return error messages about slopes that contradict the parameters `names` or the tests."""
+    """Return error messages about `slopes` that do not fit the parameters `names` or the tests."""
     found = []
     for name, by in slopes.items():
         if name not in names:

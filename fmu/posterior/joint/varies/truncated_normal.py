@@ -165,7 +165,7 @@ class TruncatedFamily:
     Attributes
     ----------
     of_logarithm : bool
-        Whether the logarithm of a value is normal; the centre is then the median of the values.
+        Whether the logarithm of a value is normal. The centre is then the median of the values before truncation.
     lower, upper : float
         Bounds of the values.
     """

@@ -193,7 +193,7 @@ class LostFrom(Multiplied):
         return None if self.grows else SuddenLoss(self.date, self.column, self.times)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) in the tests, compared with the state before the date."""
+        """Return the relative losses in the tests, (n, n_tests), compared with the state before the date."""
         return theta[:, [self.column]] * self._share(theta, self.times)[0]
 
     def identity(self, test: int) -> Hashable:
