@@ -26,7 +26,7 @@ _DIRECTION = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), DIRECTIONS, st
 
 
 def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
-    """Return the constraint equations in an archive's lines, and notes on constraints that were skipped.
+    """Return the constraint equations in an archive's lines, and notes on skipped couplings and constants.
 
     Raises
     ------

@@ -47,7 +47,7 @@ class Keyword:
     lines: list[str] = field(default_factory=list)
 
     def rows(self) -> Iterator[list[str]]:
-        """Yield the upper-case words on each data line."""
+        """Yield the words on each data line, in upper case."""
         for line in self.lines:
             yield [word.strip().upper() for word in line.rstrip(",").split(",")]
 

@@ -106,7 +106,7 @@ def solve_for_dependents(
 def equations_of(
     dependents: Sequence[DofName], names: Sequence[DofName], weights: FloatArray, source: str
 ) -> list[Equation]:
-    """Return one equation per dependent, given its row of weights, shape (n_dependents, n_names).
+    """Return one equation per dependent, with the weights in its row of `weights`, shape (n_dependents, n_names).
 
     Weights that are mere rounding errors are dropped.
     """

@@ -125,7 +125,8 @@ def mean_motion(
     source : str
         The file entry, for messages.
     by_length : bool
-        Whether the weights of rotations are multiplied by L², as in Nastran; in MYSTRAN they are not.
+        Whether the weights of rotations are multiplied by L² as in Nastran, where L is the mean distance of the
+        followed points from the reference point. MYSTRAN does not do this.
 
     Raises
     ------

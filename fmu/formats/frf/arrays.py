@@ -2,9 +2,10 @@
 
 The arrays have the names of the attributes of `fmu.FRFData`, or a common name in `NAMES`. Other names are given by
 ``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs has the
-shape (n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines. An array (n_lines, n_responses,
-n_drives), as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive. Points
-are rows of text, such as ``"tip z"``. Nothing is unpickled.
+shape (n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines; a square one is taken as
+(n_lines, n_frfs) in ``.mat`` files, and otherwise as (n_frfs, n_lines). An array (n_lines, n_responses, n_drives),
+as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive. Points are rows of
+text, such as ``"tip z"``, or two columns of text with places and directions. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _HDF5 = (b"MATLAB 7.3", b"\x89HDF")
 def read_npz(path: Path, wanted: Wanted) -> MeasuredFRFs:
     """Return the FRFs in an ``.npz`` file; see `of_arrays`.
 
-    Raise ModesError if the file is broken.
+    Raise FileNotFoundError if there is no such file, and ModesError if it is broken or too large.
     """
     checked_file(path, LARGEST_FILE)
     try:
@@ -69,8 +70,8 @@ def read_npz(path: Path, wanted: Wanted) -> MeasuredFRFs:
 def read_mat(path: Path, wanted: Wanted) -> MeasuredFRFs:
     """Return the FRFs in a MATLAB or HDF5 file; see `of_arrays`.
 
-    The file is read in a separate process, because the reader may crash. Raise ModesError if the file is broken or
-    the reader is not installed.
+    The file is read in a separate process, because the reader may crash. Raise FileNotFoundError if there is no
+    such file, and ModesError if it is broken or too large, or the reader is not installed.
     """
     checked_file(path, LARGEST_FILE)
     with open(path, "rb") as file:
@@ -99,7 +100,7 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
     Raises
     ------
     ModesError
-        If there are no frequencies or FRFs, if their shapes do not match, if an array is not numeric or too large,
+        If there are no frequencies or FRFs, if arrays are not numeric, too large or of shapes that do not match,
         if `wanted` names an unknown array or FRF, or if the points are neither in the file nor given, or their
         number is wrong.
     """

@@ -33,7 +33,7 @@ class Wanted(NamedTuple):
     variables : mapping of str to str
         Variable names in the file, by `fmu.FRFData` attribute.
     frfs : sequence of int, optional
-        Numbers of the FRFs in the file, counted from 1.
+        Numbers of the FRFs to read, counted from 1 in file order; all by default.
     """
 
     drives: Points | None = None

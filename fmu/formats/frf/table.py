@@ -13,8 +13,8 @@ In the second form there is one row per value::
     10.0,tip z,root y,0.0013,-18.4
     10.5,tip z,root y,0.0014,-21.0
 
-A point is a node or its name, a blank, and a direction: x, y, z, rx, ry or rz, optionally with a minus sign. A
-missing value is an empty cell or ``nan``. Values are in SI units; separators and comments are as in
+A point is written as a node's number or name, a blank, and a direction: x, y, z, rx, ry or rz, optionally with a
+minus sign. A missing value is an empty cell or ``nan``. Values are in SI units; separators and comments are as in
 `fmu.formats.modes.csv`.
 """
 
@@ -164,7 +164,7 @@ def _frequencies(rows: Sequence[Row], found: list[str]) -> FloatArray:
 
 
 def _column(rows: Sequence[Row], name: str, found: list[str]) -> FloatArray:
-    """Return a column as numbers (n_rows,), with NaN for empty cells.
+    """Return a column as numbers (n_rows,), with NaN for empty and invalid cells.
 
     An error is appended to `found` for each invalid cell.
     """

@@ -51,7 +51,8 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
         If the file does not exist, or pyuff is not installed.
     ModesError
         If the file cannot be read; if it has no FRFs, or FRFs with different lines, kinds or units; if the
-        requested FRFs are missing; or if an FRF has no direction along a global axis and its points are not given.
+        requested FRFs are missing; if an FRF has no direction along a global axis and its points are not given; or
+        if the number of given points is wrong.
     """
     kinds = (FUNCTIONS, UNITS, *SYSTEMS, *NODES)
     sets = read_datasets(checked_file(path, LARGEST_FILE), kinds, "FRFs", _wrong)

@@ -63,8 +63,8 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
     Raises
     ------
     ValueError
-        If the lines have neither three nor five numbers, there are no lines, a number is not whole, or a degree of
-        freedom is not one of 1 to 6.
+        If the lines have neither three nor five numbers, there are no lines, a node, row or column is not a whole
+        number from 1 to `LARGEST_NUMBER`, or a degree of freedom is not one of 1 to 6.
     RefusedError
         If there are too many entries or rows.
     """

@@ -1,7 +1,7 @@
 """Reader for matrices in HDF5 files, including MATLAB 7.3 files.
 
 A matrix is a two-dimensional dataset, or a group with the arrays of a sparse matrix: ``data``, ``indices``,
-``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
+``indptr`` and ``shape`` (CSR, or CSC if an attribute such as ``format`` says so); ``data``, ``row``, ``col`` and
 ``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
 
 A maliciously broken file can crash the HDF5 library and the process: read only files that you trust.

@@ -89,7 +89,7 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """Raised when a readable file lacks the required content or exceeds a size limit.
+    """Raised when a file lacks required content, exceeds a size limit, or cannot be read in a separate process.
 
     Attributes
     ----------

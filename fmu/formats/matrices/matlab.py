@@ -68,7 +68,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     n_bytes : int
         Size of the file.
     variable : str, optional
-        Name of the matrix; not needed if the file has only one matrix, not counting scalars.
+        Name of the matrix; not needed if the file has only one matrix, not counting scalars and ``dofs``.
 
     Returns
     -------

@@ -107,9 +107,9 @@ def read_labelled(
     Raises
     ------
     ValueError
-        If the file does not exist, is too large or of an unknown format, or contains no real, finite, square and
-        symmetric matrix; or if the library that reads it is not installed. The message begins with ``variable:``
-        or ``triangle:`` if that argument is at fault.
+        If the file does not exist, is too large or of an unknown format, contains no real, finite, square and
+        symmetric matrix, or contains several matrices and `variable` is None; or if the library that reads it is
+        not installed. The message begins with ``variable:`` or ``triangle:`` if that argument is at fault.
     """
     suffix = _suffix(path)
     advice = how_to_export(suffix)

@@ -106,7 +106,7 @@ def assemble(
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:
-    """Return the notes on all matrices without duplicates, such as notes on triangles that were filled in."""
+    """Return the notes on all matrices, such as notes on triangles that were filled in, without duplicates."""
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 

@@ -1,7 +1,7 @@
-"""Reader for real eigenvectors printed by Nastran and MYSTRAN, ``.f06``, from another model or a simulated test.
+"""Reader for the real eigenvectors that Nastran and MYSTRAN print to ``.f06`` files.
 
-OP2 files are not read. The components printed by Nastran are along the axes of each node's output coordinate
-system, which the bulk data define.
+The modes may be those of another model or of a simulated test. OP2 files are not read. The printed components are
+along the axes of each node's output coordinate system, which the bulk data define.
 """
 
 from __future__ import annotations

@@ -160,8 +160,8 @@ def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 
     The value is 1 for a real shape of any phase, 0 if the components are evenly distributed over all phases, and
-    NaN for a zero shape (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: the
-    eigenvalue ratio, expanded).
+    NaN for a zero shape (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275, who
+    define it by an eigenvalue ratio).
     """
     phi = np.asarray(shapes, dtype=complex)
     length = np.sum(np.abs(phi) ** 2, axis=0)
@@ -175,9 +175,9 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     ----------
     shapes : array_like of complex, shape (n_sensors, n_modes)
     least_mpc : float
-        Smallest phase collinearity that is accepted. An undamped model has only real shapes. A measured shape with
-        a lower value is probably a mixture of two close modes, or due to local damping or noise. 0 accepts all
-        shapes.
+        Smallest phase collinearity that is accepted. An undamped model has only real shapes. A lower value
+        suggests that a measured shape mixes two close modes, or is affected by local damping or noise. 0 accepts
+        all shapes.
 
     Returns
     -------

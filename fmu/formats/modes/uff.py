@@ -381,7 +381,7 @@ def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Com
 
 
 def write_test_geometry(points: FloatArray) -> str:
-    """Return measurement points as universal file text: nodes in dataset 15 and, in 82, a trace line through them.
+    """Return measurement points as universal file text: dataset 15 with nodes, and 82 with a line through them.
 
     The points are numbered from 1. The text is written without pyuff, so that pyuff need not be installed.
 

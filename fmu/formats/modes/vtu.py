@@ -1,6 +1,7 @@
-"""Writer for mode shapes on a mesh as VTU files, unstructured grids of VTK in XML, for ParaView and PyVista.
+"""Writer for mode shapes on a mesh as VTU files, VTK's XML format for unstructured grids.
 
-The format is described in *The VTK User's Guide*, "VTK File Formats". Arrays are binary, in base64.
+ParaView and PyVista read these files. The format is described in *The VTK User's Guide*, "VTK File Formats".
+Arrays are binary, in base64.
 """
 
 from __future__ import annotations
