@@ -89,7 +89,7 @@ class DaskCluster(RemoteEngine):
         return None
 
     def close(self) -> None:
-        """Disconnect from the cluster."""
+        """Disconnect from the cluster, and restore the levels of Dask's loggers."""
         self._shared = None
         self._client.close()
         _set_levels(self._levels)

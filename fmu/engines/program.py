@@ -1,4 +1,4 @@
-"""Run a user's program with a time limit, and kill it when the calling process ends."""
+"""Run a user's program with a time limit. On POSIX systems, kill it when the calling process ends."""
 
 from __future__ import annotations
 

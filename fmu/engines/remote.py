@@ -177,7 +177,10 @@ def limit_blas_threads() -> None:
 
 
 def _again(task: Task, outcome: Outcome) -> Task:
-    """Return a task so that it is rerun; raise LostTaskError if too many workers have died while running it."""
+    """Return a task that is to be rerun, with its deaths counted.
+
+    Raise LostTaskError if too many workers have died while they ran it.
+    """
     deaths = task.deaths + outcome.deaths
     if deaths >= MAX_DEATHS:
         raise LostTaskError(task.sequence, outcome.how)

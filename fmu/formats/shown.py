@@ -20,7 +20,7 @@ _DIGITS_A_BIT = 0.30103
 
 
 class _Shown(Repr):
-    """A `repr` that shortens long values without formatting them whole, and writes dates and booleans like TOML."""
+    """A `repr` that shortens long values without formatting them whole. It writes dates and booleans like TOML."""
 
     def __init__(self) -> None:
         super().__init__()

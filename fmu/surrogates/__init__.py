@@ -1,4 +1,4 @@
-"""Build surrogates with certificates, and make exact draws with a surrogate by delayed acceptance.
+"""Surrogates with certificates, and draws from the model's own posterior by delayed acceptance.
 
 Reading order: learning, selection, error_limits; second_stage, delayed_acceptance.
 """

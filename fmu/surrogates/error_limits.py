@@ -18,7 +18,7 @@ _MARGIN = 1.3
 
 
 class ErrorLimits(NamedTuple):
-    """Statistics of a surrogate's errors e = log p − log p̂ at n draws from p̂, and resulting error limits.
+    """Statistics of a surrogate's errors e = log p − log p̂ at n draws from p̂, and the resulting error limits.
 
     If the slow model failed at any draw, `sd`, `shift` and `largest` are infinite and `share` is 0.
 

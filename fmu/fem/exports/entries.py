@@ -60,7 +60,7 @@ class Entries:
         return np.asarray(np.any(away > SAFETY * np.maximum(self.noise * large, ROUNDING), axis=0))
 
     def place(self, at: int) -> str:
-        """Return a phrase that names the two degrees of freedom of entry number `at`, or the one if diagonal."""
+        """Return a phrase that names the two degrees of freedom of entry number `at`, or one for a diagonal entry."""
         row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
         return f"node {row}" if row == column else f"node {row}, node {column}"
 
@@ -82,10 +82,10 @@ class Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return the number of significant decimal digits, or 17 if decimals do not reproduce the numbers.
+    """Return the number of significant decimal digits, or 17 if 15 digits do not reproduce the numbers.
 
     About a thousand of the numbers are examined. No program writes matrices with fewer than `_FEWEST_DIGITS`
-    digits, so numbers that need fewer are taken as exact.
+    digits, so numbers that need fewer are taken as exact, with 17 digits.
     """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // MOST_SAMPLED, 1)]

@@ -87,7 +87,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
 
 
 def is_drawable(model: SeparableModel, most: int) -> bool:
-    """Return True if the model has something to plot that takes at most `most` lines."""
+    """Return True if the model can be plotted with at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines
     return lines is not None and len(lines) <= most

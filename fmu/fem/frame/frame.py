@@ -75,7 +75,7 @@ class Frame:
               on bending stiffness, rotary inertia and torsional inertia; A on axial stiffness and
               translational mass; J on torsional stiffness; rho on the mass matrix;
             - ``("mass", name)``, ``("inertia", name)`` or ``("inertia", name, direction)`` of a point mass;
-            - ``("stiffness", name)`` or ``("stiffness", name, direction)`` of a spring;
+            - ``("stiffness", name)`` or ``("stiffness", name, direction)`` of a spring.
 
             Without a direction, the target is every direction that the mass or spring has; without a name, as in
             ``("E",)``, it is every group, mass or spring. The parameter is the common value of all its targets,

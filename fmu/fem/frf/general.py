@@ -138,7 +138,7 @@ class GeneralResponses:
         return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
 
     def add(self, weights: ComplexArray) -> None:
-        """Add the lines of the last `frfs` call to the derivatives of a scalar L; see `ModalResponses.add`."""
+        """Add the last `frfs` call's contribution to the derivatives of a scalar L; see `ModalResponses.add`."""
         one = np.ones(len(self._omega), dtype=complex)
         for power, factor in enumerate((one, 1j * self._omega, -(self._omega**2) * one)):
             for f, (j, k) in enumerate(zip(self._responses, self._drives, strict=True)):
@@ -146,7 +146,7 @@ class GeneralResponses:
                 self._sums[power] -= left @ np.swapaxes(self._u[:, k], 1, 2)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L, the sum over all `add` calls; see `ModalResponses.gradient`."""
+        """Return the derivatives of L, summed over all calls of `add`; see `ModalResponses.gradient`."""
         damping, (by_K, by_C, by_M) = self.damping, self._sums
         alpha, beta = (source.at(self.values)[:, :, None] for source in (damping.alpha, damping.beta))
         # each stiffness term has its own loss factor

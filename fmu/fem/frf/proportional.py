@@ -13,7 +13,8 @@ coordinates,
     dH_jk = Σ_rs φ_jr φ_ks (f_rs dK_rs − (½ (g_r + g_s) + ½ (λ_r + λ_s) f_rs) dM_rs),
 
 with the divided difference f_rs = (g_r − g_s)/(λ_r − λ_s) = −g_r g_s (1 + i ω C_rs + i E_rs), where C_rs and E_rs
-are the divided differences of c and h (Daleckii & Krein 1965). It stays finite where eigenvalues coincide.
+are the divided differences of c and h (Daleckii & Krein 1965). The product stays finite where eigenvalues
+coincide.
 """
 
 from __future__ import annotations
@@ -125,7 +126,10 @@ class ProportionalDamping:
     def pull_back(
         self, lam: FloatArray, values: FloatArray, viscous: FloatArray, hysteretic: FloatArray
     ) -> FloatArray:
-        """Convert derivatives for c_r and h_r, each (n, r), to derivatives for the damping parameters, (n, q)."""
+        """Apply the chain rule: convert derivatives to derivatives with respect to the damping parameters, (n, q).
+
+        `viscous` and `hysteretic`, shape (n, r), are the derivatives with respect to c_r and h_r.
+        """
         found = np.zeros(values.shape)
         omega = np.sqrt(np.maximum(lam, 0.0))
         for source, part in (
@@ -303,7 +307,7 @@ class ModalResponses:
 
     @staticmethod
     def _split(at: FloatArray, to: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_f sym(φ_jr φ_ks) T_fr, summed over all FRFs f, and its transpose, each of shape (n, r, s).
+        """Return Σ_f ½ (φ_jr φ_ks + φ_kr φ_js) T_fr, summed over all FRFs f, and its transpose, each (n, r, s).
 
         `at` and `to` are the shapes φ at the two points j and k of each FRF.
         """

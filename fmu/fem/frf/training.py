@@ -86,7 +86,7 @@ class Lines:
     unit: FloatArray
 
     def error(self, one: ComplexArray, other: ComplexArray) -> FloatArray:
-        """Return the root sum of squared differences over FRFs and lines, each divided by its unit, shape (n,)."""
+        """Return √(Σ |difference / unit|²), summed over all FRFs and lines, shape (n,)."""
         return np.asarray(np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2))))
 
 
@@ -122,6 +122,7 @@ def train(
     bind : callable
         Returns the responses of a reduced block as a function of theta.
     tolerance : float
+        Largest `Lines.error` at a training point.
 
     Notes
     -----

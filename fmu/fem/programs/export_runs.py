@@ -54,7 +54,8 @@ def run_exports(
     Raises
     ------
     ValueError
-        If a run fails or does not write a file; the message has the values and the last lines that it printed.
+        If a run fails or does not write a file. The message gives the values and the last lines that the program
+        printed.
     """
     key = repr([list(run.command), sorted(run.contents().items())])
     return [_run_once(run, one, needed, store, key) for one in values]

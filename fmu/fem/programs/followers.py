@@ -28,8 +28,8 @@ def follower_motions(
     """Return each follower's displacement as a weighted sum of retained degrees of freedom.
 
     OpenSees does not print C in u_follower = C u_retained. C is therefore fitted by least squares to displacements
-    under random loads: the handler Transformation imposes the constraint to rounding. The loads act during a step
-    of Newmark's method, whose matrix K + 4 M/Δt² is regular for free structures too.
+    under random loads, for which the handler Transformation satisfies the constraints to rounding. The loads act
+    during a step of Newmark's method, whose matrix K + 4 M/Δt² is regular for free structures too.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Models that a Python function builds in OpenSees, using openseespy: ``pip install 'fmu[opensees]'``.
 
-``build(theta)`` creates nodes, supports, elements and masses with openseespy, from ``model(…)`` on; it defines no
+``build(theta)`` calls openseespy to create a model, its nodes, supports, elements and masses; it defines no
 analysis. OpenSees has one model per process, so a model that already exists there is wiped.
 
 Stiffness and mass are the tangent matrices at rest. The integrator GimmeMCK assembles a M + b C + c K, and the
@@ -86,8 +86,8 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     ------
     ValueError
         If openseespy is missing, `build` raises an exception or creates no nodes, no degree of freedom is free or
-        more than `MOST_DOFS` are, a node has degrees of freedom without a name, or the stiffness or mass is zero,
-        not symmetric or not finite.
+        more than `MOST_DOFS` are, the directions of a node's degrees of freedom are not known, or the stiffness or
+        mass is zero, not symmetric or not finite.
     """
     ops = _openseespy()
     with _alone(ops):
@@ -295,10 +295,10 @@ _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
 
 @contextmanager
 def _alone(ops: ModuleType) -> Iterator[None]:
-    """Within a ``with`` block, provide OpenSees without a model, and redirect its messages to a file.
+    """Within a ``with`` block, provide OpenSees without a model, and write its messages to a file.
 
-    The last messages are added to any ValueError. Messages are not printed, because OpenSees warns of every
-    singular mass matrix, which is allowed here.
+    The model is wiped at the end. The last messages are added to any ValueError. Messages are not printed, because
+    OpenSees warns of every singular mass matrix, which is allowed here.
     """
     with TemporaryDirectory() as folder:
         log = Path(folder) / "log"

@@ -1,6 +1,7 @@
 """Disk storage for the solves of a slow program: a small file per theta, written atomically.
 
-Any number of processes can share a store. Each theta is solved by one process, and the others wait for it::
+Any number of processes can share a store. Each theta is solved by one process, and the others wait for it. All
+solves in a store can be read in a loop::
 
     for solve in SolveStore(folder):
         print(solve.theta, solve.frequencies, solve.seconds, solve.reason)
@@ -42,7 +43,7 @@ _NO_MOTION = 1e-6
 
 
 class StoreWarning(UserWarning):
-    """Issued when a model does not reproduce a stored solve exactly."""
+    """Issued when a model reproduces a stored solve to within a solver's scatter, but not to rounding."""
 
 
 class Solve(NamedTuple):
@@ -76,7 +77,7 @@ class SolveStore:
     Parameters
     ----------
     folder : Path
-        Folder of the store, created when the first solve is stored. Failures are in its subfolder ``failed``;
+        Folder of the store, created when it is first needed. Failures are in its subfolder ``failed``;
         delete that subfolder to have them solved again.
     """
 
