@@ -60,7 +60,7 @@ class Entries:
         return np.asarray(np.any(away > SAFETY * np.maximum(self.noise * large, ROUNDING), axis=0))
 
     def place(self, at: int) -> str:
-        """Return a phrase that names the two degrees of freedom of entry number `at`, or one for a diagonal entry."""
+        """Return a phrase that names the degrees of freedom of entry `at`: one on the diagonal, otherwise two."""
         row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
         return f"node {row}" if row == column else f"node {row}, node {column}"
 

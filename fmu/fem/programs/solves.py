@@ -115,7 +115,7 @@ class Solves:
         return self._known.get(theta.tobytes())
 
     def at_start(self, theta: FloatArray) -> Solve:
-        """Return the solve at a problem's starting point theta (n_parameters,), and check that solves are still valid.
+        """Return the solve at a problem's starting point theta (n_parameters,), and check earlier solves.
 
         With a store, the callable is called there once per process, even if a solve is stored. The stored solve is
         returned, so that a resumed run gives the same draws. A stored failure is removed. Without a store, the
