@@ -56,8 +56,8 @@ class _Stop:
     def hear(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal.
 
-        The first signal in an `interruptible` block requests a stop after the current step. Any other interrupts
-        at once, or at the end of a `shielded` block.
+        The first signal in an `interruptible` block prints a message, and requests a stop after the current step,
+        which may take `GRACE_S` longer. Any other signal interrupts at once, or at the end of a `shielded` block.
         """
         first, self.asked = not self.asked, True
         if first and self.polling:

@@ -24,7 +24,8 @@ BEYOND = (0.05, 0.1)
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
     """Print the losses in each later state, with the values before and after. Warn if they are unreliable.
 
-    Raise ValueError if the trace has no losses.
+    The probability of a loss beyond each limit in `beyond` is printed too. Raise ValueError if the trace has no
+    losses.
     """
     from fmu.analysis.trace.damage import (
         ANY,

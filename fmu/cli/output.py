@@ -10,7 +10,7 @@ from pathlib import Path
 
 @contextmanager
 def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
-    """Create an output directory for a block. If the block fails, remove it and its new parents if they are empty.
+    """Create an output directory for a block. If the block fails, remove the new directories that are empty.
 
     Raise ValueError if the directory cannot be written to, or holds files and `overwrite` is False.
     """

@@ -287,8 +287,8 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
     """Yield the engine that advances the groups of chains.
 
-    A user's function is expensive. The workers therefore share the evaluations in each step and the chains advance
-    in this process, unless groups are requested.
+    If the model is a user's function, each call is expensive. The workers then share the evaluations in each step,
+    and the chains advance in this process, unless groups are requested.
     """
     from fmu.engines.base import InProcess
 

@@ -97,7 +97,7 @@ def _budget(problem: UpdatingProblem, orders: Orders) -> int:
 
 
 def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return True if surrogate training ended because too few solves were left for another certificate."""
+    """Return True if the limit on solves leaves too few for the surrogate to learn more and be checked again."""
     from fmu.surrogates.learning import CHECKS, certificate_of
 
     return _budget(problem, orders) - certificate_of(problem).solves < CHECKS

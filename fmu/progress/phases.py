@@ -61,7 +61,7 @@ class Phase:
         self.tell()
 
     def advance(self, steps: int = 1) -> None:
-        """Add `steps` to the number of completed steps, and report."""
+        """Add `steps` to the number of completed steps, raise the total if it is exceeded, and report."""
         self.done += steps
         self.total = max(self.total, self.done)
         self.tell()

@@ -151,7 +151,7 @@ class Store:
         self._saved_at[group] = time.monotonic()
 
     def close(self) -> None:
-        """Release the lock on the directory."""
+        """Remove this process's notes, and release the lock on the directory."""
         self._lock.release()
 
     def __enter__(self) -> Self:

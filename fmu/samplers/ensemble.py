@@ -48,7 +48,7 @@ class Ensemble(Sampler):
     Raises
     ------
     ValueError
-        If a move is unknown, a weight is not positive, or there are too few walkers.
+        If `moves` is empty, a move is unknown, a weight is not positive, or there are too few walkers.
 
     Notes
     -----

@@ -282,7 +282,7 @@ class HamiltonianKernel(LocalKernel):
     """HMC kernel bound to a density with gradients.
 
     `step_size` has shape () if all chains share one step size, otherwise (chains,); `metric` may also hold one
-    matrix per chain. The other fields are as in `HamiltonianMonteCarlo`.
+    matrix per chain. `n_steps`, `jitter` and `max_bounces` are as in `HamiltonianMonteCarlo`.
     """
 
     target: WithGradient

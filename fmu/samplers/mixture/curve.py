@@ -34,7 +34,7 @@ class Curve:
 
     Each margin y_i(u_i) is standardised to z_i, and x_k = (z_k − m_k(z)) exp(−s_k(z)). The shift m_k is quadratic,
     and the log-scale s_k is linear, in the coordinates that precede k in `order`. The map is therefore triangular,
-    and its determinant is a product. The shift straightens a banana; the log-scale straightens a funnel.
+    and its Jacobian determinant is a product. The shift straightens a banana; the log-scale straightens a funnel.
 
     A margin is u_i itself, unless the density is infinite at one or both bounds. It is then Φ⁻¹(I_t(a, b)) with
     t = (u − lower)/(upper − lower), where I_t is the cumulative distribution function (CDF) of a beta
