@@ -15,7 +15,7 @@ class DiscrepancyTable(TomlTable):
 
     kind: Literal["embedded", "modes"]
     """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors whatever the
-    parameters. For frequency response functions only "modes" is allowed, with sd and correlation."""
+    parameters. For frequency response functions only "modes" is allowed, and needs sd and correlation."""
     tau: Positive | None = None
     """The scatter relative to the parameter or, if the parameter may be 0, to its starting value. Inferred if not
     given."""
@@ -31,8 +31,8 @@ class DiscrepancyTable(TomlTable):
     """With kind = "modes", correlation of the errors of two frequencies; inferred if not given. With kind =
     "embedded", correlation of the scatter of a parameter in two modes; 0 if not given."""
     shape_sd: Positive | None = None
-    """With kind = "modes", the standard deviation of the errors of shapes scaled to a largest component of 1.
-    Inferred if not given."""
+    """With kind = "modes", the standard deviation of the errors of shapes scaled to a largest component of 1; for
+    frequency response functions, of residues relative to their root mean square. Inferred if not given."""
     length: Positive | None = None
     """With kind = "modes", the distance in m over which the correlation of the errors at two sensors falls to
     1/e."""

@@ -259,7 +259,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for each misprinted frequency, which contradicts the printed error beside it."""
+    """Yield an erratum for each frequency whose printed error shows that the frequency is a misprint."""
     experiment = EXPERIMENTS[case]
     for column in experiment.columns.values():
         for i, meant in column.corrected_frequencies.items():

@@ -254,7 +254,8 @@ def publish_models(
     Raises
     ------
     ValueError
-        If the page would overwrite a file that fmu did not write.
+        If ``report`` is a file or has an invalid manifest, or the page would overwrite a file that fmu did not
+        write.
     """
     first = next(iter(traces.values()))
     sections = (models.comparison(found), models.held_out(traces), models.misfit(traces), models.intervals(traces))

@@ -101,7 +101,10 @@ class FRFTable(Declared):
     the model that move a response. With pairing = "index", counted in the whole spectrum. 1, 2, … if not given."""
 
     def read(self, file: Path) -> FRFData:
-        """Read the FRFs in a file. Raise BrokenError or ValueError if the file or the settings are invalid."""
+        """Read the FRFs in a file, and mark the lines that this table excludes from updating.
+
+        Raise BrokenError or ValueError if the file or the settings are invalid.
+        """
         with reading("data"):
             data = read_frf(
                 file,

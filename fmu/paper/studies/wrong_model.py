@@ -195,7 +195,7 @@ def runs_sentence(study: WrongModel) -> str:
 def plot_wrong_model(studies: Sequence[WrongModel], figure: Figure | None = None) -> Figure:
     """Plot the errors, in %, with which each measured frequency is predicted from the other modes.
 
-    There is one panel per experiment, with predictions without and with scatter.
+    There is one panel per experiment, with means and 90 % intervals of the predictions without and with scatter.
     """
     figure = figure or new_figure(7.6, 2.6 * ((len(studies) + 1) // 2) + 0.8)
     frames = figure.subplots((len(studies) + 1) // 2, 2, sharex=True, squeeze=False).ravel()

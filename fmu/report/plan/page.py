@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _MOST_CASES = 12
-_DOUBT = 0.05  # probability of the wrong answer that a decision may have
+_DOUBT = 0.05  # largest probability of a wrong decision
 _CASES = (
     "Tests in which expected and real differ. The ratio of the sds is a product. True values: the sd "
     "linearised at the true parameters over the expected one. Noise: the sd linearised at the posterior "

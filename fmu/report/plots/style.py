@@ -117,7 +117,7 @@ def finish(axes: Axes, x: str = "", y: str = "") -> None:
 
 
 def height_of_row(n: int) -> float:
-    """Return the height in inches of each of `n` axes in a column, so that up to 12 axes fit on a page."""
+    """Return the height in inches of each of `n` axes in a column; above eight axes it is smaller."""
     return 1.35 if n <= 8 else 1.1
 
 

@@ -161,7 +161,7 @@ def judge_data(run: ReportedRun) -> Verdict:
 def convergence(run: ReportedRun) -> Verdict:
     """Return the verdict on the run's convergence.
 
-    A converged run without a search for maxima counts only as locally converged.
+    A converged run counts only as locally converged if it may have missed maxima.
     """
     question = "Can the run be trusted?"
     rhat, needed = float(run.summary["rhat"].max()), required_ess(run.trace["posterior"].sizes["chain"])
