@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 INITS = ("maxima", "prior", "start")
 """Values of `init` that name starting points."""
 DEFAULT_SAMPLER = "mixture"
-"""Name of the default sampler, whose ESS per evaluation no other sampler exceeded in any comparison.
+"""Name of the default sampler, whose ESS per evaluation no other sampler of fmu exceeded.
 
 ESS per evaluation of the worst parameter, after a warm-up of 1000 steps; a gradient counts as 1.9 evaluations:
 
@@ -80,7 +80,7 @@ def sample(
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
-        default is the mixture, whose effective sample size per evaluation no other sampler exceeded in any
+        default is the mixture, whose effective sample size per evaluation none of the others exceeded in any
         comparison. For a posterior with populations (`fmu.JointProblem`) it is Gibbs sampling by tests.
     draws, warmup : int
         Number of retained steps, and number of warm-up steps before them. Each retained step of an ensemble gives

@@ -272,7 +272,7 @@ class FRFData:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom with which each sd was estimated; infinite if no hits or coherence were used."""
+        """Degrees of freedom with which each sd was estimated; infinite if it is not from hits or a coherence."""
         if self.hits is not None:
             return 2.0 * (self.hits - 1)
         return 2.0 * (self.averages - 1.0) if self.sd is None and self.averages is not None else np.inf

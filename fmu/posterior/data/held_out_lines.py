@@ -1,4 +1,4 @@
-"""Select measured values that are left out of updating and serve to test the updated model."""
+"""Select the values of measured FRFs that are left out of updating and serve to test the updated model."""
 
 from __future__ import annotations
 

@@ -368,7 +368,7 @@ class ModalData:
         return None if all(self.use) else np.flatnonzero(self.use)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the data as a dict of plain Python types."""
+        """Return the data, without `mpc`, `points` and `counts_rigid`, as a dict of plain Python types."""
         optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
         given = {name: getattr(self, name) for name in optional if getattr(self, name) is not None}
         return {

@@ -102,7 +102,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta, including any derivatives that scattering parameters need."""
+        """Return the predicted modes, with derivatives if `gradient` is True or if parameters scatter."""
         if not (gradient or len(self.errors.scattered)):
             return super().observed(theta)
         structural = theta[:, : self.model.n_parameters]
@@ -260,7 +260,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return np.asarray(frequencies - np.sum(own * z, axis=2) - np.einsum("nmc,nc->nm", common, w))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the names and settings as a dict of plain Python types."""
+        """Return the settings of the error models and the discrepancy as a dict of plain Python types."""
         return super().as_dict() | {"discrepancy": self.errors.as_list()}
 
     @property

@@ -54,7 +54,10 @@ class ModeErrors:
         sensors: Sequence[Dof],
         structure: SeparableModel | None,
     ) -> ModeErrors:
-        """Bind the settings to error terms and sensors. For `index` and errors raised see `Discrepancy.bind`."""
+        """Bind the settings to error terms and sensors; `index` is as in `Discrepancy.bind`.
+
+        Raise ValueError if an inferred number has the name of another parameter.
+        """
         prior, most = HalfNormal(settings.prior_sd), MOST * settings.prior_sd
 
         def size(name: str, known: float | None) -> Setting:

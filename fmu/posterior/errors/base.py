@@ -103,7 +103,7 @@ class ErrorTerm:
     spread : Spread
         Error variances.
     needs_shapes, of_frequencies : bool
-        Whether these are errors in mode shapes, or in frequencies. `simulate` requires errors in frequencies.
+        Whether these are errors in mode shapes, or in frequencies. Only errors in frequencies can be simulated.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends only on the standard deviations.
     is_chi_square : bool
@@ -129,7 +129,7 @@ class ErrorTerm:
 
     @property
     def is_known(self) -> bool:
-        """Whether the errors are Gaussian with known standard deviations, none of them inferred."""
+        """Whether no error parameter is inferred; False for Student's t even with known parameters."""
         return not self.spread.sizes
 
     @property
@@ -210,7 +210,7 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd, (n, n_modes), Hz, of each measured frequency given the others; see `simulate`."""
+        """Return mean and sd of each measured frequency given the others, (n, n_modes) each, in Hz."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
@@ -230,7 +230,7 @@ class Likelihood:
     """The log-likelihood of the measured modes as a function of theta.
 
     Here theta consists of the model's parameters (with several tests, the structural parameters in each test: see
-    `fmu.posterior.joint.layout.Layout.of_model`), followed by the inferred standard deviations. The derivatives of
+    `fmu.posterior.joint.layout.Layout.of_model`), followed by the inferred error parameters. The derivatives of
     a value are with respect to the parameters in its own test, unless a `Chain` is given.
 
     Attributes
@@ -242,7 +242,7 @@ class Likelihood:
     simulates : bool
         Whether the likelihood defines a frequency distribution, so that measurements can be simulated.
     noise : tuple of Parameter
-        Standard deviations to be inferred, the problem's last parameters.
+        Standard deviations and other parameters of the errors to be inferred, the last in theta.
     beta : ndarray, shape (n_modes,), or None
         β of eq. (4) for each mode, without correlations, if `error` is set or the error is the modal residual.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
@@ -262,11 +262,11 @@ class Likelihood:
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy : bool
-        Whether the model has a discrepancy.
+        Whether the model of the modes has a discrepancy.
     predictions_per_gradient : int
-        How often the modes and their derivatives are computed for one gradient.
+        Number of times that the modes and their derivatives are computed for one gradient.
     n_sizes : int or None
-        Number of inferred discrepancy sds in the modes, which are the last of `noise`; None if there are none.
+        Number of inferred discrepancy parameters, the last of `noise`; None without a discrepancy, or with FRFs.
     """
 
     of_modes: bool = False
@@ -304,7 +304,7 @@ class Likelihood:
 
     @property
     def n_noise(self) -> int:
-        """Number of inferred mode error sds, which come first in `noise`."""
+        """Number of inferred parameters of the errors in modes, which come first in `noise`."""
         return len(self.noise)
 
     def easier(self) -> list[Likelihood]:
@@ -354,7 +354,7 @@ class Likelihood:
         raise NotImplementedError
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (n, n_residuals) and their derivatives (n, n_residuals, number of parameters)."""
+        """Return residuals (n, n_residuals) and derivatives (n, n_residuals, n_structural); see `Chain`."""
         raise NotImplementedError
 
     @property

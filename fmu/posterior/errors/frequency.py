@@ -150,7 +150,7 @@ class FrequencyTerm(ErrorTerm):
         self._rows: tuple[FloatArray, FloatArray] | None = None
         if self.is_known:
             self.beta = 0.5 / spread.fixed**2 if beta is None else beta
-            # rows (1, n_modes), as the frequencies at a single theta have: NumPy is faster without broadcasting
+            # shape (1, n_modes), like the frequencies at a single theta: NumPy is faster without broadcasting
             self._rows = 0.5 * np.log(self.beta / np.pi)[None], self.beta[None]
 
     @classmethod

@@ -138,7 +138,7 @@ class MixtureLikelihood(ModalLikelihood):
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the names and settings as a dict of plain Python types."""
+        """Return the error models' names and settings, and the softness, as a dict of plain Python types."""
         return {**super().as_dict(), "softness": self.softness}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:

@@ -88,7 +88,7 @@ class QuantityErrors:
         return False
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with place names replaced by nodes of the model; other names are kept."""
+        """Return the settings with place names replaced by nodes of the model; by default, unchanged."""
         return self
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:

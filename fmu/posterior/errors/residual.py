@@ -1,4 +1,4 @@
-"""The modal residual in eq. (2) as an error model."""
+"""The likelihood of the modal residual, eq. (2)."""
 
 from __future__ import annotations
 

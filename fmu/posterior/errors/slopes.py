@@ -1,4 +1,4 @@
-"""The chain rule for error models: derivatives by frequencies and shapes give derivatives by parameters."""
+"""Chain rule for error models: differentiate their log-densities and residuals with respect to the parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def split_by_term(terms: Sequence[ErrorTerm], of_residuals: FloatArray) -> list[
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
     """Return a prediction whose derivatives are with respect to the parameters of all tests.
 
-    The array `test` has the index of each mode's test. Derivatives of variances are left unchanged.
+    The array `test` has the index of each mode's test. A model with several tests has no variances.
     """
     by_shape = seen.shape_slopes
     if by_shape is not None:

@@ -149,7 +149,7 @@ class FRFLikelihood(Likelihood):
 
     @property
     def n_noise(self) -> int:
-        """Number of inferred mode error sds, which come first in `noise`."""
+        """Number of inferred parameters of the errors in modes, which come first in `noise`."""
         return len(self.modal.noise)
 
     def using(self, used: IntArray | None) -> Self:
@@ -331,7 +331,7 @@ class FRFLikelihood(Likelihood):
         return found
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the names and settings as a dict of plain Python types."""
+        """Return the settings of the errors in modes and FRFs as a dict of plain Python types."""
         return self.modal.as_dict() | {
             "responses": [term.as_dict() for term in self.responses],
             "inferred": [p.name for p in self.noise[len(self.modal.noise) :]],

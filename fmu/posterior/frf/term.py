@@ -115,7 +115,7 @@ class FRFTerm:
         return self._sd_column is None and not self._wider and not self._model_sd
 
     def frfs(self, theta: FloatArray) -> ComplexArray:
-        """Return the computed FRFs with any inferred channel errors, in the data's units, (n, n_frfs, n_used)."""
+        """Return the FRFs with inferred channel errors, (n, n_frfs, n_lines), SI units, at the lines in use."""
         with single_thread():
             parts = [
                 self._predict(self._solve(theta[rows]), theta[rows], slice(None)) * self._power

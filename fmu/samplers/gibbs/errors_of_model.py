@@ -151,7 +151,7 @@ class MovesWithErrors(MovesOfMain):
     def move_noise(
         self, rng: np.random.Generator, theta: FloatArray, at: FloatArray, seen: ModalPrediction, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Move each error standard deviation in turn, by random walks on its logarithm.
+        """Move each inferred error parameter in turn, by random walks on its logarithm.
 
         Return theta and the log-likelihood terms (chains, n_terms). The predicted modes `seen` do not change. `at`
         (chains, n) contains the parameters of the model and of its likelihood.
