@@ -217,7 +217,7 @@ def as_list[One](given: One | Sequence[One]) -> list[One]:
 
 
 def shown(value: object) -> str:
-    """Format a value for a message, in one line of at most 80 characters."""
+    """Format a value for a message, in one line of at most 80 characters. If its `repr` fails, name its type."""
     try:
         text = " ".join(repr(value).split())
     except Exception:  # whatever the user's own __repr__ raises

@@ -347,7 +347,7 @@ def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> No
 
 @contextmanager
 def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
-    """Yield the progress callback that `progress` selects, or None. Note the phases in the directory."""
+    """Yield the progress callback that `progress` selects, or None. Keep a note of the phase in the directory."""
     with ExitStack() as stack:
         report: Report | None = None
         if progress == "json":

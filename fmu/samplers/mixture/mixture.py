@@ -61,9 +61,8 @@ class MixtureSampler(Sampler):
         sampling.
     local_steps, jumps : int
         Numbers of local steps and of candidates per cycle. By default `jumps` is 39, or 79 if `wide` is below 0.1.
-        Warm-up replaces both if candidates are rarely accepted or the mixture is curved, unless at least half of
-        the steps are local. If, in addition, `local` is given, the sampler takes the name of `local`; see
-        `with_jumps`.
+        Warm-up replaces both if candidates are rarely accepted or the mixture is curved. It does not if at least
+        half of the steps are local. If `local` is given too, the sampler then takes its name; see `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
 
