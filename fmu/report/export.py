@@ -81,7 +81,7 @@ class Exported:
     sampler : str
         Name of the sampler whose draws were used.
     remarks : tuple of str
-        Warnings about the exported values, one sentence each.
+        Warnings about the exported values and files, one sentence each.
     """
 
     directory: Path
