@@ -168,7 +168,7 @@ class ProcessPool(RemoteEngine):
 
 
 def serve(connection: Connection, path: list[str], folder: str) -> None:
-    """Run all tasks that arrive over a connection, until its other end is closed; runs in a worker process.
+    """In a worker process, run all tasks that arrive over a connection, until its other end is closed.
 
     The worker receives ``("shared", bytes)`` and ``("task", bytes)``, pickled. For each task it sends
     ``("report", arguments)`` any number of times, then ``("outcome", bytes)``.

@@ -94,7 +94,7 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
     ------
     ValueError
         If the deck has no placeholder, or a placeholder has no value or a width other than 8 or 16. The message
-        lists all mistakes with their lines.
+        lists the mistakes with their lines.
     """
     wrong = list(_mistakes(text, values))
     if not wrong and not placeholders(text) & values.keys():

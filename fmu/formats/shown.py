@@ -70,7 +70,7 @@ def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
 
 
 def list_mistakes(mistakes: Sequence[object]) -> list[str]:
-    """Return the first `MOST_TOLD` error messages, one per line, and a line that counts the rest."""
+    """Return the first `MOST_TOLD` error messages, each on one line, and a line that counts any others."""
     lines = [one_line(str(mistake)) for mistake in mistakes[:MOST_TOLD]]
     more = len(mistakes) - MOST_TOLD
     return [*lines, f"… and {whole(more)} more"] if more > 0 else lines

@@ -77,8 +77,8 @@ class SecondStage:
     Raises
     ------
     ValueError
-        If the problem has no surrogate, or the trace is not a trace, belongs to another problem, or has too few
-        effective draws.
+        If the problem has no surrogate, or `trace` is not the result of a run, belongs to another problem, or has
+        too few effective draws.
     """
 
     def __init__(self, problem: UpdatingProblem, trace: xr.DataTree) -> None:

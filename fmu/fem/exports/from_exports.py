@@ -101,11 +101,11 @@ def from_exports(
 
 
 def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> list[str]:
-    """Return a warning, as a list, if the stiffness has too few digits for an accurate lowest frequency.
+    """Return a list with a warning if the stiffness has too few digits for an accurate lowest frequency.
 
     The list is empty if there are enough digits, or if no elastic mode can be computed.
 
-    With independent, uniform entry errors e_ij, λ changes by φᵀ e φ / φᵀ M φ. Relative to f, the change has the
+    With independent, uniform entry errors e_ij, λ changes by φᵀ e φ / φᵀ M φ. The relative change in f has the
     standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
     """
     K, M = model.K(theta), model.M(theta)

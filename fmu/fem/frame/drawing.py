@@ -21,7 +21,7 @@ _FLAT = 1e-6
 _BALANCED = 1e-9
 """Largest resultant of forces that count as balanced, relative to the stiffness that causes the forces."""
 _MOST_LINES = 300
-"""Largest number of lines that are plotted as single SVG elements."""
+"""Largest number of lines for which each line is a separate SVG element."""
 _AXES = ("x", "y", "z")
 _ROTATIONS = ("rx", "ry", "rz")
 

@@ -198,7 +198,7 @@ def _assemble(matrices: FloatArray, ends: IntArray, n_nodes: int) -> sp.csr_arra
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """Numbers of a frame's free degrees of freedom; the frame has six degrees of freedom per node.
+    """Numbering of a frame's free degrees of freedom. A frame has six degrees of freedom per node.
 
     Attributes
     ----------

@@ -307,7 +307,7 @@ class ModalResponses:
 
     @staticmethod
     def _split(at: FloatArray, to: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Σ_f ½ (φ_jr φ_ks + φ_kr φ_js) T_fr, summed over all FRFs f, and its transpose, each (n, r, s).
+        """Return Σ_f ½ (φ_jr φ_ks + φ_kr φ_js) T_fr over all FRFs f, and its transpose, each of shape (n, r, s).
 
         `at` and `to` are the shapes φ at the two points j and k of each FRF.
         """

@@ -141,7 +141,7 @@ class DeckRun:
         return text.replace("{job}", self.deck.stem).replace("{deck}", self.deck.name)
 
     def explain(self, why: str, folder: Path) -> str:
-        """Return the reason `why` for a failure, followed by the last lines that the program printed."""
+        """Return one line: the program's name, the reason `why` it failed, and the last lines that it printed."""
         said = last_lines(folder / OUTPUT)
         return one_line(f"{self.command[0]}: {why}" + (f"; it printed at the end: {said}" if said else ""))
 

@@ -111,7 +111,7 @@ class Solves:
         return [found[key] for key in keys]
 
     def recall(self, theta: FloatArray) -> Solve | None:
-        """Return the solve at theta (n_parameters,) if it is in memory, otherwise None; nothing is called."""
+        """Return the solve at theta (n_parameters,) if it is in memory, otherwise None. Nothing is called."""
         return self._known.get(theta.tobytes())
 
     def at_start(self, theta: FloatArray) -> Solve:
@@ -322,9 +322,9 @@ class Solves:
         warnings.warn(f"store: solves cannot be kept in {where} ({error})", stacklevel=2)
 
     def _remember(self, solve: Solve) -> Solve:
-        """Store a solve in memory in place of any earlier one at its theta.
+        """Store a solve in memory in place of any earlier one at its theta, and return it.
 
-        Remove the oldest solves to make room.
+        A long reason is shortened. The oldest solves are removed to make room.
         """
         if len(solve.reason) > _LONGEST:
             solve = solve._replace(reason=_shorten(solve.reason))

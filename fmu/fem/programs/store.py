@@ -112,7 +112,7 @@ class SolveStore:
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[None]:
-        """Within a ``with`` block, hold a lock so that no other process solves theta; first wait for the lock.
+        """Wait for a lock, and hold it within a ``with`` block, so that no other process solves theta.
 
         theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. If a process dies, the
         operating system releases its lock.

@@ -35,7 +35,7 @@ class Transformation(NamedTuple):
     dofs : list of (node id, direction)
         Names of the rows: the given degrees of freedom, then any others that appear in the equations.
     independent : list of (node id, direction)
-        Names of the columns, in the order of `dofs`.
+        Names of the columns.
     """
 
     T: sp.csr_array

@@ -30,7 +30,7 @@ NAMES = ("stiffness", "mass")
 
 
 def full_arrays(path: Path) -> dict[str, AnyArray]:
-    """Read the arrays in a ``.full`` file, keyed by name; ansys-mapdl-reader must be installed.
+    """Read the arrays in a ``.full`` file, keyed by name. This requires ansys-mapdl-reader.
 
     An absent matrix has no arrays.
 

@@ -78,7 +78,7 @@ def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
 
 
 def names(path: Path) -> list[tuple[int, str]]:
-    """Read the row names (node, direction) from a ``.dof`` file, one per line; a name may occur several times.
+    """Read the row names (node, direction) from a ``.dof`` file, one per line. A name may occur several times.
 
     Raises
     ------

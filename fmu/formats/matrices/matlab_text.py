@@ -1,4 +1,4 @@
-"""Reader for matrices in MATLAB and Octave code, ``.m``; the code is never executed.
+"""Reader for matrices in MATLAB and Octave code, ``.m``, which is never executed.
 
 Three statements are recognised: ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);``, in which
 the last two arguments are optional, and ``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and

@@ -48,14 +48,14 @@ class _Grid(Protocol):
 
 
 def cdb_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the grid arrays in an archive, keyed by name; mapdl-archive must be installed."""
+    """Return the grid arrays in an archive, keyed by name. This requires mapdl-archive."""
     from mapdl_archive import Archive
 
     return _arrays(Archive(str(path)).grid)
 
 
 def rst_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the grid arrays in a result file, keyed by name; ansys-mapdl-reader must be installed."""
+    """Return the grid arrays in a result file, keyed by name. This requires ansys-mapdl-reader."""
     from ansys.mapdl import reader
 
     return _arrays(reader.read_binary(str(path)).grid)

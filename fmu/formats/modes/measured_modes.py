@@ -159,9 +159,9 @@ def check_sensors(name: str, sensors: Sequence[Dof], there: Sequence[Dof]) -> No
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 
-    The value is 1 for a real shape of any phase, 0 if the components are evenly distributed over all phases, and
-    NaN for a zero shape (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275, who
-    define it by an eigenvalue ratio).
+    The value is 1 if all components are in phase or in opposite phase, 0 if they are evenly distributed over all
+    phases, and NaN for a zero shape (Pappa, Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16,
+    275, who define it by an eigenvalue ratio).
     """
     phi = np.asarray(shapes, dtype=complex)
     length = np.sum(np.abs(phi) ** 2, axis=0)

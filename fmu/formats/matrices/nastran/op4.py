@@ -1,4 +1,4 @@
-"""Reader for Nastran OUTPUT4 matrices, ``.op4``: binary of either byte order, or text; full or sparse columns.
+"""Reader for Nastran OUTPUT4 files, ``.op4``: binary of either byte order or text, with full or sparse columns.
 
 MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files do not name their rows: see `fmu.formats.models.bulk`.
 The DMAP statements are::
