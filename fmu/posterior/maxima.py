@@ -74,9 +74,9 @@ def local_maxima(
     near : ndarray, shape (n, ndim), optional
         Further starting points, in SI units; points outside the bounds are moved to them.
     most_solves : float
-        Largest number of solves. If it is finite, the ascents run one after the other, and none begins once the
-        limit is reached. With the modal residual, the search also ends after sixteen ascents that have found more
-        than eight distinct maxima.
+        Largest number of solves, apart from the ascents on easier likelihoods. If it is finite, the ascents run
+        one after the other, and none begins once the limit is reached. With the modal residual, the search also
+        ends after sixteen ascents that have found more than eight distinct maxima.
 
     Returns
     -------

@@ -45,7 +45,7 @@ class Parameter:
     Raises
     ------
     ValueError
-        If the name is not allowed, or the bounds, the starting value and the prior are inconsistent.
+        If the name or the unit is not allowed, or the bounds, the starting value and the prior are inconsistent.
     """
 
     name: str
@@ -85,13 +85,19 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Smallest value with a finite log-prior: `lower`, or the next float above if it is infinite there."""
+        """Smallest value with a finite log-prior: `lower`, or the next float above if it is infinite there.
+
+        An infinite bound is returned unchanged.
+        """
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Largest value with a finite log-prior: `upper`, or the next float below if it is infinite there."""
+        """Largest value with a finite log-prior: `upper`, or the next float below if it is infinite there.
+
+        An infinite bound is returned unchanged.
+        """
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 
@@ -116,9 +122,9 @@ def value_or_name(given: Any) -> Plain:
 
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
-    """Return a prior's name and arguments as text, in the customary unit, such as ``"normal, sd 200"``.
+    """Return a prior's name and arguments as text, such as ``"normal, mean 0, sd 200"``.
 
-    Arguments of a distribution from ``scipy.stats`` stay in the SI unit.
+    Arguments are in the customary unit. For a distribution from ``scipy.stats`` they stay in the SI unit.
     """
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
     parts = [

@@ -71,6 +71,7 @@ def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
 
     A prior is reported if less than 5 % of its probability lies between the bounds, if its centre lies more than
     one of its standard deviations outside the bounds, or if it is so narrow that the data have no influence.
+    Uniform priors are never reported.
     """
     return [said for names, one in _alike(parameters) if (said := _doubt(names, one))]
 

@@ -61,7 +61,8 @@ class Rounding:
     relative : ndarray, shape (n_modes,)
         Expected relative error of each frequency; infinite for a frequency of 0.
     of_sd : ndarray, shape (n_modes,)
-        Expected error of each frequency in measurement standard deviations; 0 if frequencies have no error model.
+        Expected error of each frequency in measurement standard deviations; 0 for modes that are not used, and if
+        frequencies have no error model.
     mode : str
         Label of the measured mode with the largest `of_sd`.
     where : str
@@ -91,7 +92,8 @@ class Rounding:
 def rounding(problem: Posterior) -> Rounding | None:
     """Return the frequencies' rounding errors at the problem's starting point.
 
-    Return None if the model has no matrices, or the likelihood does not use computed modes.
+    Return None if the model has no matrices or describes several tests, or if the likelihood does not use computed
+    modes.
 
     Raises
     ------

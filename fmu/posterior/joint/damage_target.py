@@ -48,7 +48,7 @@ class DamageTarget:
         ------
         ValueError
             If there is no name, a parameter of that name cannot have a loss, a name occurs twice, or a prior is
-            given for a problem with several tests.
+            given for a problem with several tests or has no probability between −0.5 and 0.95.
         """
         several = len(problem.tests) > 1
         known = problem.layout.by_state if several else problem.names[: problem.n_structural]

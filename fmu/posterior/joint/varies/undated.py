@@ -54,7 +54,7 @@ class UndatedDamage(Varies):
     date : Prior, optional
         Prior of the date, in the time unit; uniform by default.
     event : str
-        Name of the event. Parameters with the same event have the same date. The date is named
+        Name of the event. Parameters with the same event and the same `by` have the same date. The date is named
         ``"day of damage"`` after the time and the event, or ``"test of damage"`` if test numbers serve as time.
     scatter : Population, optional
         Population of the undamaged values in the tests. By default all tests have the same undamaged value.
