@@ -40,7 +40,8 @@ def simulate_plan(
     """Simulate tests as planned, update with each, and compare the real accuracy with the expected accuracy.
 
     A test consists of the model's frequencies and mode shapes at a draw from the prior, with random errors. The
-    update pairs modes as in the plan and uses the same reduced model, so it takes only seconds.
+    update pairs modes as in the plan. It uses a reduced model if the model has matrices, and then takes only
+    seconds.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ class LatentErrors:
             Means. For z, each group's last row has the mean given all rows; earlier rows have the mean given only
             some of them.
         of_z, of_both, of_w : ndarray, shapes (n, m, P, P), (n, m, P, C) and (n, C, C)
-            Covariances of z, of z with w, and of w; for z, the last rows count as above.
+            Covariances of z, of z with w, and of w, given the same rows as the means.
         """
         of_z, mean = self._covariance, self._groups.mean
         n, C = len(self.residuals), self.common.shape[-1]

@@ -129,8 +129,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-likelihood terms, and the derivatives of their sum through each term, (n, n_terms, ndim).
 
-        Row i of a mode contains the derivatives through its prediction in its test. This is the gradient of term i
-        unless terms are coupled (`couples_modes`).
+        The row of a mode contains the derivatives through its prediction in its test. It is the gradient of the
+        mode's term unless terms are coupled (`couples_modes`).
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
@@ -168,8 +168,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the whitened residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        S is the covariance of the residuals. With several tests and no `chain`, S is the covariance of a mode's
-        residuals in each test alone.
+        The residuals are whitened with their covariance S. With several tests and no `chain`, S is the covariance
+        of a mode's residuals in one test alone.
         """
         seen = self.observed(theta, True)
         with np.errstate(all="ignore"):

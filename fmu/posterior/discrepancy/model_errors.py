@@ -246,9 +246,9 @@ class ModelErrors:
         """Return the Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
 
         It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, F are the loadings, and Cov is the
-        covariance of the latent errors given the residuals. Between different modes, and for the same mode in
-        different tests, only the discrepancy is counted. A residual of a shape at q sensors has the weight (q −
-        1)/q, because the shape's scale is free. `take` selects the rows of `latent`.
+        covariance of the latent errors given the residuals. Measurement sds are counted in each row alone, a
+        mode's own errors in each mode alone. A residual of a shape at q sensors has the weight (q − 1)/q, because
+        the shape's scale is free. `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
         _, _, of_z, of_both, of_w = latent.given_residuals()

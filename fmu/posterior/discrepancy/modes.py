@@ -118,9 +118,10 @@ class ModeErrors:
     ) -> FloatArray:
         """Differentiate a function of each mode's own `units` with respect to the parameters.
 
-        Return shape (n, n_modes, n_parameters). For shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C
-        that does not depend on θ. Let G be the derivatives `by_own` of the function with respect to the units, (n,
-        n_modes, k, n_own). Its derivatives with respect to ψ are then −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
+        Return shape (n, n_modes, n_parameters). The units of frequencies are constant. For shapes they are U = C −
+        ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the derivatives `by_own` of the function
+        with respect to the units, (n, n_modes, k, n_own). Its derivatives with respect to ψ are then −(G Cᵀψ + C
+        Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
         """
         found = np.zeros((*by_own.shape[:2], np.asarray(seen.frequency_slopes).shape[-1]))
         for term, by in zip(terms, split_by_term(terms, by_own), strict=True):

@@ -1,4 +1,4 @@
-"""Error models, which are distributions of the differences between measured and computed quantities; likelihoods.
+"""Error models (distributions of the differences between measured and computed quantities) and likelihoods.
 
 Reading order: base, noise; frequency, student, shape, mac; quantities; slopes, surrogate_variance, likelihood,
 mixture; residual.

@@ -227,7 +227,7 @@ class ErrorTerm:
 
 
 class Likelihood:
-    """The log-likelihood of the measured modes as a function of theta.
+    """The log-likelihood of the measurements as a function of theta.
 
     Here theta consists of the model's parameters (with several tests, the structural parameters in each test: see
     `fmu.posterior.joint.layout.Layout.of_model`), followed by the inferred error parameters. The derivatives of
@@ -254,7 +254,7 @@ class Likelihood:
     terms_of : tuple of ErrorTerm
         The error models; empty if the errors are not in measured quantities.
     chi_square : tuple of ErrorTerm
-        The error models whose squared residuals measure the model's fit; see `ErrorTerm.is_chi_square`.
+        The error models whose squared scores measure the model's fit; see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
     responses, every : tuple of FRFTerm, tuple of FRFsOfTest

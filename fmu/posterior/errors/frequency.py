@@ -67,8 +67,9 @@ class FrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if there are no standard deviations, they or the weights do not fit the data, an inferred
-        one has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
+        Raise ValueError if standard deviations are missing, standard deviations or weights do not fit the data, an
+        inferred standard deviation has a negative lower bound or another parameter's name, or the data's
+        covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
         sd = self.sd
@@ -160,7 +161,7 @@ class FrequencyTerm(ErrorTerm):
         Raises
         ------
         ValueError
-            If a β is not positive and finite, or the number of β differs from the number of modes.
+            If a β is not positive and finite, or there is neither one β nor one per mode.
         """
         known = checked_beta(beta, len(measured))
         return cls("absolute", measured, Spread(np.sqrt(0.5 / known), {}), known)
@@ -275,8 +276,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     log P(D|θ) = Σ_i (−½ log 2π − log L_ii − ½ z_i²).
 
     Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m: the information that mode i adds to the modes
-    before it. The single terms depend on the mode order; their sum does not. `project` replaces the frequencies by
-    z.
+    before it. The single terms depend on the mode order, their sum does not. `project` turns frequencies into z.
 
     Parameters
     ----------

@@ -151,7 +151,7 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
     Raises
     ------
     ValueError
-        If a mode is unknown or named twice, or a group has fewer than 2 modes or at least as many as sensors.
+        If a mode is unknown or named twice, or a group has fewer than 2 modes or no fewer modes than sensors.
     """
     named = [str(name) for group in together for name in group]
     unknown = [name for name in named if name not in labels]

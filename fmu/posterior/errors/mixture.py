@@ -116,7 +116,7 @@ class MixtureLikelihood(ModalLikelihood):
         """Return the residuals and their derivatives, computed for the candidates with the highest MAC.
 
         These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
-        other candidates contribute more to the likelihood. See `ModalLikelihood` for the shapes. `chain` is
+        other candidates contribute more to the likelihood. See `Likelihood` for the array shapes. `chain` is
         ignored, because soft pairing is for one test only.
         """
         candidates = self._candidates(theta, True)
@@ -128,7 +128,8 @@ class MixtureLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The information is computed from the candidate with the largest share in each measured mode.
+        The information on the model's parameters is computed from the candidate with the largest share in each
+        measured mode.
         """
         candidates = self._candidates(theta, True)
         pairs = self._pairs(candidates, theta, True)

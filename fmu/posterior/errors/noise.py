@@ -144,7 +144,7 @@ def spread(
 
 
 def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -> None:
-    """Raise ValueError unless all numbers in `sd` and `weights` (each may be None) are positive and finite."""
+    """Raise ValueError unless all known numbers in `sd` and `weights`, if any, are positive and finite."""
     for name, value in (("sd", sd), ("weights", weights)):
         if value is not None and parameter_in(value) is None:
             require(name, value, Annotated[Numbers, Gt(0.0)])

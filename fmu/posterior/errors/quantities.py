@@ -1,7 +1,7 @@
 """Error models for weighed masses and static displacements. Such data separate stiffness from mass.
 
 Frequencies alone determine only ratios of stiffness to mass. A weighed mass, a centre of gravity or a static
-displacement is a further datum with a Gaussian error. Its computed value is an exact function of theta
+displacement is a further datum with a Gaussian error. It is computed from the matrices, not from modes
 (`fmu.fem.modes.static`).
 """
 

@@ -20,7 +20,7 @@ from fmu.types import FloatArray, Plain
 
 
 class ModalResidual(Likelihood):
-    """Residual of the measured modes in the condensed equations of motion, eq. (2).
+    """Likelihood of the residual of the measured modes in the condensed equations of motion, eq. (2).
 
     ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖, with the measured ω_i and φ_i and the matrices condensed onto
     the sensors by Guyan reduction (eq. 2 and the text below it). The log-likelihood of mode i is
@@ -39,9 +39,9 @@ class ModalResidual(Likelihood):
     Raises
     ------
     ValueError
-        If no shapes were measured, a sensor is not a degree of freedom, two sensors are at the same one, a β is
-        not positive and finite, the number of β is wrong, or, at θ_ref, the model is a mechanism when the degrees
-        of freedom at the sensors are fixed.
+        If no shapes were measured, a sensor is not a degree of freedom, two sensors are at the same degree of
+        freedom, a β is not positive and finite, the number of β is wrong, or, at θ_ref, the model is a mechanism
+        when the degrees of freedom at the sensors are fixed.
 
     Notes
     -----
