@@ -57,7 +57,10 @@ class Configuration:
         return [np.flatnonzero(times == k) for k in range(int(times.max()) + 1)]
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Arrange `values`, (n, n_tests, n_structural), as model parameters of the solves, (n · n_distinct, p)."""
+        """Return the model parameters of all solves, (n · n_distinct, p).
+
+        `values`, (n, n_tests, n_structural), are the structural parameters in all tests.
+        """
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 

@@ -79,7 +79,7 @@ class Prior(ABC):
         """Return the prior's name and settings as a dict."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw `n` values from the truncated distribution, by default by inverting its distribution function."""
+        """Draw `n` values from the truncated distribution. By default, its distribution function is inverted."""
         return self.quantile(rng.uniform(size=n), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:

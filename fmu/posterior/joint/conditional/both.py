@@ -27,7 +27,7 @@ from fmu.types import FloatArray
 
 _HALVINGS = 30
 _BENT = 0.1
-"""Ridges are taken as straight if no coefficient of a parabola exceeds this value."""
+"""Ridges are treated as straight if no coefficient of a parabola exceeds this value."""
 _DRAWS = 400
 """Number of draws whose mean is the second typical point."""
 _FARTHEST = 1.5

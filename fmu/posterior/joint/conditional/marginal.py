@@ -157,7 +157,10 @@ class MarginalOfMain:
         return np.linalg.inv((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T + np.diag(added))
 
     def _gradient(self, linear: Linear, theta: FloatArray) -> FloatArray:
-        """Return the gradient of the summed log-evidence, shape (n, ndim). Entries for scores are meaningless."""
+        """Return the gradient of the summed log-evidence with respect to the main parameters, shape (n, ndim).
+
+        Entries for scores are meaningless, and entries for error parameters are zero.
+        """
         of, n = self.given.scores, len(self.layout.parameters)
         moved = linear.slopes * linear.step
         pull = self.given.pull_of_values(linear)

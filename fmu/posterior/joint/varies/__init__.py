@@ -11,7 +11,7 @@ from fmu.posterior.joint.varies.taken import SHARED, ByGroup, ByTest, Shared
 from fmu.posterior.joint.varies.undated import UndatedDamage
 
 VARIES: dict[str, Varies] = {SHARED: Shared(), "test": ByTest(), "group": ByGroup()}
-"""Mapping from the name to the kind of variation, for the kinds without settings."""
+"""The kinds of variation without settings, keyed by name."""
 Variation = Population | Damage | UndatedDamage
 """The kinds of variation with settings."""
 

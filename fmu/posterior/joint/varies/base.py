@@ -64,7 +64,7 @@ class Slope(NamedTuple):
 
 
 def add_by_column(gradient: FloatArray, slope: Slope) -> None:
-    """Add derivatives in each test to `gradient` (n, ndim) in place. Several tests may share a column."""
+    """Add a slope's derivatives to `gradient` (n, ndim) in place. Several tests may share a column."""
     for column in np.unique(slope.columns):
         gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
 
@@ -130,7 +130,7 @@ class InTests:
         raise NotImplementedError
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         raise NotImplementedError
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:

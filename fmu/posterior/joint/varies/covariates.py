@@ -67,7 +67,7 @@ class Covariate:
         return np.where(self.is_inferred, theta[:, self.columns], self.values)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their covariate values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal covariate values at every theta."""
         return (True, int(self.columns[test])) if self.is_inferred[test] else (False, float(self.values[test]))
 
 

@@ -134,7 +134,7 @@ class Lost(Multiplied):
         return np.where(self.is_lost, theta[:, self.columns], 0.0)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         return self.of.identity(test), int(self.columns[test]), bool(self.is_lost[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:

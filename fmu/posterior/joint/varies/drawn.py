@@ -89,7 +89,7 @@ class Drawn(InTests):
         return value, self._slopes(*slopes)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         return int(self.columns[test])
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:

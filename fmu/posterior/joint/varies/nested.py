@@ -1,4 +1,4 @@
-"""A parameter that scatters between groups of tests as well as within them, such as day within season."""
+"""A parameter that scatters between groups of tests and within them, such as by season and by day."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Nested(Multiplied):
         return np.zeros((len(theta), len(self.columns)))
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         return self.of.identity(test), int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:

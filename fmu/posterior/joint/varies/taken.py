@@ -37,7 +37,7 @@ class Taken(InTests):
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         return int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ _FEW = 3
 """Largest number of parameters listed in the name of a common slope."""
 
 Slopes = Mapping[str, Mapping[str, Prior | Law | str]]
-"""How parameters depend on covariates, by the names of the parameter and the covariate; see `fmu.JointProblem`."""
+"""How parameters depend on covariates, keyed by parameter name and covariate name; see `fmu.JointProblem`."""
 
 
 class OnCovariate(NamedTuple):
@@ -63,7 +63,7 @@ class Trend(Multiplied):
         return self.of.losses(theta, reference)
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         return self.of.identity(test), *(covariate.identity(test) for _, covariate in self.effects)
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -117,7 +117,10 @@ class Trends:
         self._effects: dict[tuple[str, str], OnCovariate] = {}
 
     def add_to(self, of: InTests, name: str) -> InTests:
-        """Return the parameter's values `of` with the trends of the parameter `name`, or `of` if it has none."""
+        """Return `of`, the values of the parameter `name`, with its trends, or unchanged if it has none.
+
+        The parameters of its laws are added to theta, unless another parameter with the same law has added them.
+        """
         by = self._slopes.get(name, {})
         effects = tuple(
             self._effect(name if (name, key) in self._laws else str(how), key) for key, how in by.items()
@@ -125,7 +128,10 @@ class Trends:
         return Trend(of, effects) if effects else of
 
     def _effect(self, owner: str, covariate: str) -> OnCovariate:
-        """Return a covariate's effect on the parameter `owner`. Other parameters may share this effect."""
+        """Return a covariate's effect on the parameter `owner`. Other parameters may share this effect.
+
+        The first call for an owner and covariate adds the law's parameters to theta.
+        """
         found = self._effects.get((owner, covariate))
         if found is None:
             number, x = self._names.index(owner), self._theta.covariate(covariate)

@@ -197,7 +197,7 @@ class LostFrom(Multiplied):
         return theta[:, [self.column]] * self._share(theta, self.times)[0]
 
     def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if their parameter values are equal at every theta."""
+        """Return a key. Tests with equal keys have equal parameter values at every theta."""
         return self.of.identity(test), float(self.times[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
