@@ -79,8 +79,8 @@ def certify(
     trace's seed: up to 512 for small structures, fewer for larger structures or several tests. One in twelve of
     them, including the four with the largest bounds, is solved with the full model (`fmu.fem.reduced.confirming`).
     At least 16 draws are solved, or 8 if a block of the structure has 20 000 degrees of freedom or more. With
-    several tests, these smallest numbers and the four are divided by the number of tests. The error of the
-    log-probability counts only at plausible draws.
+    several tests, these smallest numbers and the four are divided by the number of tests. Log-probabilities are
+    compared only at draws where they are not far below the highest.
 
     Parameters
     ----------

@@ -84,7 +84,10 @@ class Evidence:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Reasons why the estimate is unreliable, one sentence each: missed regions, disagreement, heavy tails."""
+        """Reasons why the estimate is unreliable, one sentence each: missed regions, disagreement, heavy tails.
+
+        Empty if there are none.
+        """
         if self.method in OF_MIXTURE:
             tail = heavy_tail_in_words(self.pareto_k)
             return (*self.doubts, f"{tail}, and the error is underestimated") if tail else self.doubts
@@ -175,7 +178,10 @@ def has_candidates(trace: xr.DataTree) -> bool:
 
 
 def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
-    """Estimate the evidence from the log-weights log P − log q of the candidates and of the draws."""
+    """Estimate the evidence from the log-weights log P − log q of the candidates and of the draws.
+
+    Candidates whose log-weight is not finite count with weight zero.
+    """
     of_candidates, of_draws = (array_of(trace, "sample_stats", name) for name in (CANDIDATE, LOG_WEIGHT))
     jumped = ~np.isnan(of_candidates[0])  # all chains jump at the same steps
     candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
@@ -212,7 +218,10 @@ def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
 
 
 def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
-    """Return the table of `Evidence` for tempering, one row per rung."""
+    """Return the table of `Evidence` for tempering, one row per rung.
+
+    The last rung has no next one, so its rejection rate and evidence ratio are NaN.
+    """
     finite = np.where(np.isfinite(draws), draws, np.nan)
     return data_frame(
         {

@@ -91,7 +91,7 @@ def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
     g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
     that the first three rungs are evenly spaced in s, but is at most 1. If the model fails in part of the prior,
-    the mean at t = 0 is taken over the rest, and the log of that prior fraction is added to the integral.
+    the mean at t = 0 is taken over the rest, and the logarithm of the fraction in which it does not fail is added.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))
@@ -124,10 +124,10 @@ def tempering_group(result: RunResult) -> xr.Dataset:
     -------
     xarray.Dataset
         ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
-        ``rejection`` (rejection rate of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ;
-        ``round_trips`` of replicas from the posterior to the prior and back; ``round_trip_rate``, per draw and
-        chain; ``round_trip_limit``, (2 + 2Λ)⁻¹, the rate if replicas forget their position in every step (Syed et
-        al. 2022, section 3.4).
+        ``rejection`` (rejection rate of swaps with the next rung; NaN at the last) along ``rung``. Attributes:
+        ``barrier``, Λ, the sum of the rejection rates; ``round_trips`` of replicas from the posterior to the prior
+        and back; ``round_trip_rate``, per draw and chain; ``round_trip_limit``, (2 + 2Λ)⁻¹, the rate if replicas
+        forget their position in every step (Syed et al. 2022, section 3.4).
     """
     import xarray as xr
 

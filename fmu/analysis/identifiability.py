@@ -58,11 +58,11 @@ def combination(direction: FloatArray, names: Sequence[str]) -> str:
 class Identifiability:
     """Directions in parameter space that the data constrain, linearised at one parameter vector.
 
-    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the measurement covariance and D the diagonal matrix of prior standard
-    deviations within the bounds, SᵀS is the Fisher information in prior standard deviations. The singular value
-    decomposition of S orders directions by the information in the data: along a direction of singular value s, a
-    posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse
-    Problems 30, 114015, section 2). Truncation of the posterior at the bounds is not included.
+    With S = L⁻¹ (∂f/∂θ) D, where f are the measured quantities, LLᵀ is their covariance and D the diagonal matrix
+    of prior standard deviations within the bounds, SᵀS is the Fisher information in prior standard deviations. The
+    singular value decomposition of S orders directions by the information in the data: along a direction of
+    singular value s, a posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et
+    al. 2014, Inverse Problems 30, 114015, section 2). Truncation of the posterior at the bounds is not included.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Identifiability:
 
     @property
     def singular_values(self) -> FloatArray:
-        """Singular values of S in descending order, shape (ndim,), 0 where parameters outnumber measured modes."""
+        """Singular values of S in descending order, (ndim,), 0 where parameters outnumber measured quantities."""
         return self._svd[0]
 
     @property
@@ -119,7 +119,7 @@ class Identifiability:
 
     @property
     def remaining_sd(self) -> FloatArray:
-        """Each parameter's linearised posterior standard deviation over its prior one, shape (ndim,)."""
+        """Each parameter's linearised posterior standard deviation, divided by its prior one, shape (ndim,)."""
         return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
 
     @property
@@ -189,8 +189,8 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Raises
     ------
     ValueError
-        If `theta` is not within the bounds, the model has no finite derivative there, or `problem` is not an
-        UpdatingProblem with errors of modes (but with the modal residual, or with FRFs alone).
+        If `theta` is not within the bounds, the model has no finite derivative there, `problem` is not an
+        UpdatingProblem, or it has no errors of modes, as with the modal residual or with FRFs alone.
     """
     if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")

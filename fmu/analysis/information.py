@@ -232,7 +232,8 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
 def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
     """Return the combination that the data determine for each set of parameters that they cannot separate.
 
-    The sets are the dict's keys and follow from the linearised model stored in the trace.
+    The sets are the dict's keys and follow from the linearised model stored in the trace. The dict is empty if the
+    trace stores none.
     """
     kept = kept_identifiability(trace)
     if not kept:

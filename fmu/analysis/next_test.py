@@ -90,7 +90,7 @@ def predict_tests(
           one makes the data less than 20 times as probable as the best fit with the other;
         - ``change``: the best-fitting change of ``parameter`` from its population mean, relative to this mean; NaN
           if the mean is zero;
-        - ``score NAME``: tⱼ, for each parameter with a population;
+        - ``score NAME``: tⱼ, for each parameter with a population; NaN if its value in the test is known;
         - ``draws``: n.
 
         All columns except ``p_value`` and ``draws`` assume that one parameter departed, and mean nothing for a
@@ -144,7 +144,7 @@ def require_population(problem: UpdatingProblem) -> None:
 def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
     """Return the index of the earlier test whose configuration and errors apply to a new test.
 
-    Raise TestsError if no test fits.
+    Raise TestsError if the new test or `like` does not fit the problem.
     """
     found: list[str] = []
     every = problem.tests

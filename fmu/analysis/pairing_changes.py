@@ -57,8 +57,8 @@ class PairingChanges:
     project : int
         Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
-        Fraction of these draws in which the measured mode is paired with another computed mode (block, or number
-        within the block) than in the most probable draw.
+        Fraction of these draws in which the measured mode is paired with a computed mode (block, and number within
+        the block) that differs from that of the most probable draw.
     jumps : int
         Number of these draws with a change of this kind in any mode.
     gap : ndarray, shape (n_modes,)
@@ -200,7 +200,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
 
 def jump_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a list with a warning if the pairing by MAC, and so the log-probability, jumps within the draws."""
+    """Return a list with a warning if the pairing by MAC changes within the draws, so that log P jumps."""
     if not has(trace, GROUP) or trace[GROUP].attrs["rule"] != "shape":
         return []
     found = pairing_changes(trace)

@@ -100,8 +100,8 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         - ``mean``, its standard error ``mcse_mean``, ``sd``, ``eti90_lb`` and ``eti90_ub``: mean, standard
           deviation and interval of the computed frequency, without measurement noise;
         - ``noisy_sd``, ``noisy_eti90_lb``, ``noisy_eti90_ub``: the same for a new measurement, with noise; missing
-          for the modal residual, which has no measurement noise. If the measured frequency is the mean of repeated
-          tests, a new measurement is the mean of as many tests;
+          without an error model of frequencies, as for the modal residual. If the measured frequency is the mean
+          of repeated tests, a new measurement is the mean of as many tests;
         - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test, for repeated tests.
 
     Raises
@@ -252,7 +252,7 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the fraction of the prior draws near a bound; without any, the fraction of a uniform prior."""
+    """Return the fraction of the prior draws near a bound, or of a uniform prior if there are no prior draws."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"].variables[name].to_numpy() - bound) < margin))

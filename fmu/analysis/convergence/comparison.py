@@ -204,9 +204,9 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
     """Return sentences that compare two costs of each ensemble sampler, in solves.
 
-    The first is the cost until R-hat and ESS met the criterion. The second is the total cost; it is followed by
-    whether the run has converged, for which an ensemble must pass further tests. The text is empty if no trace is
-    from an ensemble sampler.
+    The first is the cost until R-hat and ESS met the criterion, the second the total cost. Each sentence also says
+    whether the run then passed the further tests of an ensemble, which `converged` gives by name. The text is
+    empty if no trace is from an ensemble sampler.
     """
     said = []
     for name, trace in traces.items():

@@ -289,7 +289,7 @@ def _is_above(trace: xr.DataTree, level: float) -> bool:
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return the reasons against convergence, except for the certificate, and warnings on doubtful masses."""
+    """Return reasons against convergence, except the certificate's, and warnings on doubtful masses of maxima."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1

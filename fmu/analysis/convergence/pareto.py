@@ -59,9 +59,9 @@ def heavy_tail_in_words(k: float) -> str:
 def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatArray, float]:
     """Return the logarithms of Pareto-smoothed weights, (n,), and the Pareto shape k of their tail.
 
-    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, at most the
-    largest weight, unless k is infinite or NaN. The weights returned sum to 1; they are NaN if the fitted scale is
-    not positive.
+    Unless k is infinite or NaN, the largest weights are replaced by quantiles of a generalised Pareto distribution
+    fitted to them; quantiles above the largest weight are reduced to it. The weights returned sum to 1; they are
+    NaN if the fitted scale is not positive.
 
     Parameters
     ----------

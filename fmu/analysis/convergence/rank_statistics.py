@@ -23,7 +23,7 @@ def split_chains(x: AnyArray) -> AnyArray:
 
 
 def normal_scores(x: FloatArray) -> FloatArray:
-    """Return the normal scores Φ⁻¹(rank) of all draws, same shape as `x` (section 4.1).
+    """Return the normal scores Φ⁻¹((rank − 3/8)/(n + 1/4)) of all n draws, same shape as `x` (section 4.1).
 
     Equal draws share the mean of their ranks.
     """

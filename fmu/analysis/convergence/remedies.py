@@ -106,9 +106,9 @@ def rhat_excess(table: pd.DataFrame) -> float:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return the number of steps to draw before an insufficient run is judged again.
 
-    If `growth` lies between 1 and 1.1, the run is extended to 1.01 times the predicted length, and by at least 2
-    %. If it is larger, 80 % of the missing steps are drawn, but the run is at most doubled, because a longer run
-    gives a better prediction. If `growth` is at most 1 and only R-hat is too high, the run grows by 5 to 15 %,
+    If `growth` lies between 1 and 1.1, the run is extended to 1.01 times the predicted length, but by 2 % at
+    least. If it is larger, 80 % of the missing steps are drawn, but the run is at most doubled, because a longer
+    run gives a better prediction. If `growth` is at most 1 and only R-hat is too high, the run grows by 5 to 15 %,
     because R-hat scatters too much for a prediction. In all other cases, for example if the ESS is unreliable, the
     run is doubled.
 

@@ -28,7 +28,10 @@ LEFT_TO_PRIOR = ": the data do not inform it and it keeps its prior, as if there
 
 
 def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return a sentence on the size of each discrepancy, inferred or given; an empty tuple if there is none."""
+    """Return sentences on the size of each discrepancy, inferred or given, and on its inferred correlation.
+
+    The tuple is empty if the model has no discrepancy.
+    """
     problem = problem_of(trace)
     likelihood: Mapping[str, Any] = problem["likelihood"]
     noise, said = list(likelihood.get("noise", ())), []
@@ -51,7 +54,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences that say how to allow for the misfit, and with what effect.
+    """Return sentences on how to allow for the misfit, and on the effect of this.
 
     The text is empty if the model has a discrepancy already, or if its errors do not permit one.
     """

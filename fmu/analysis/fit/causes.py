@@ -195,7 +195,7 @@ def _of_order(z: FloatArray, tests: Sequence[str]) -> list[Cause]:
 def _of_covariate(z: FloatArray, name: str, x: FloatArray, free: BoolArray) -> list[Cause]:
     """Return the possible causes related to a covariate x (n_tests,): a slope, and a bend if x has enough values.
 
-    `free` (n_parameters,) marks the parameters that have no slope in x in the model.
+    `free` (n_parameters,) marks the parameters that do not depend on x in the model.
     """
     known = np.where(np.isnan(x), np.nanmean(x), x)
     line = Cause(
@@ -226,7 +226,7 @@ def _linear(cause: str, r: float) -> str:
 def _bent(name: str, x: FloatArray, z: FloatArray, place: float, free: bool) -> str:
     """Describe in words how a parameter's scores z (n_tests,) depend on a covariate x, with a bend at `place`.
 
-    `free` is False if the model has a slope of the parameter in x.
+    `free` is False if the parameter depends on x in the model.
     """
     known = ~np.isnan(x)
     columns = np.stack(

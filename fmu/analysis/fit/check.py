@@ -42,8 +42,8 @@ class Check:
     why_not : str
         Why the check could not have revealed any error; empty if it could.
     below, above : float
-        Relative frequency errors, measured over predicted minus one, beyond which a check of a mode fails; NaN for
-        other checks.
+        Relative frequency errors, measured over predicted minus one, beyond which the check of a predicted mode
+        fails; NaN for other checks.
     dependence : str
         A dependence on order, covariate or group that contradicts the parameter's law; empty if there is none.
     """

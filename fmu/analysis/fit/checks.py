@@ -102,19 +102,19 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def contradicted_laws(trace: xr.DataTree) -> list[str]:
-    """Describe each dependence on order, covariate or group that contradicts a parameter's law, one text each."""
+    """Return a text on each dependence on order, covariate or group that contradicts a parameter's law."""
     if not _has_laws(trace):
         return []
     return [check.dependence for check in population_checks(trace, _levels(trace)[1]) if check.dependence]
 
 
 def _has_laws(trace: xr.DataTree) -> bool:
-    """Return True if the trace stores test scores, which show whether parameters follow their laws."""
+    """Return True if the trace stores squared residuals and test scores, which are needed to check laws."""
     return has(trace, GROUP) and (has(trace, POPULATIONS, "score") or has(trace, RESIDUAL_SCORES, "score"))
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
-    """Return functions that take a significance level and return the checks of one kind; laws are not included."""
+    """Return functions that take a significance level and return the checks of one kind; laws are left out."""
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
         return kinds

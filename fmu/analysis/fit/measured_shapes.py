@@ -68,7 +68,8 @@ def below(mac: float) -> str:
 def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
     """Compare each test's mode shapes with the model in one state; return the comparisons keyed by test name.
 
-    A single test has the key ``""``. The dict is empty if the trace stores no measured shapes.
+    A single test has the key ``""``. Sensors at which a mode was not measured are left out. The dict is empty if
+    the trace stores no measured shapes.
     """
     if not has(trace, GROUP):
         return {}

@@ -64,10 +64,11 @@ def population_group(
 ) -> xr.Dataset:
     """Return the trace group of the populations: posterior means and standard deviations of the scores.
 
-    If the populations are correlated, ``correlation`` has their correlations at every draw. If a population is
-    correlated in time, ``innovation`` has its innovations at the last draw
-    (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the probability that a
-    test is an outlier, and ``outlier_of`` is the probability that it is an outlier of one population.
+    They are NaN for a test without a score. If the populations are correlated, ``correlation`` has their
+    correlations at every draw. If a population is correlated in time, ``innovation`` has its innovations at the
+    last draw (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the
+    probability that a test is an outlier, and ``outlier_of`` is the probability that it is an outlier of one
+    population.
 
     Parameters
     ----------

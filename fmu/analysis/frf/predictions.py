@@ -60,15 +60,15 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
         whether a value is used, or tests the updated model (`fmu.posterior.data.held_out_lines`).
 
         ``amplitude`` and ``phase`` (kind, quantile, frf, line) are the 5 %, 50 % and 95 % quantiles of the model's
-        FRFs with channel errors, and of another measurement; phases are in degrees. ``distance`` (frf, line) is
-        the root sum of squares of the real and imaginary errors (or of log amplitude and phase) in standard
-        deviations, at the mean of the model's FRFs. ``squares`` (sample, frf) is chi-square with ``freedom`` (frf)
-        degrees of freedom if the model is correct.
+        FRFs with channel errors, and of another measurement; phases are in degrees. They are NaN at lines at which
+        no FRF of the test is used or held out. ``distance`` (frf, line) is the root sum of squares of the real and
+        imaginary errors (or of log amplitude and phase) in standard deviations, at the mean of the model's FRFs;
+        NaN at values that are neither used nor held out. ``squares`` (sample, frf) is chi-square with ``freedom``
+        (frf) degrees of freedom if the model is correct.
 
         For ``held_squares``, ``held_freedom`` and ``held_inside`` (frf) see `HeldOut`. ``frac`` (frf) is the
         frequency response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF
-        that is not used. ``gain`` and ``gain_sd`` (channel) are the marginalised gain errors. Predictions are NaN
-        at values that are neither used nor held out.
+        that is not used. ``gain`` and ``gain_sd`` (channel) are the marginalised gain errors.
     """
     import xarray as xr
 
@@ -163,8 +163,9 @@ def _compare(
 
     Let z be the errors at a draw in standard deviations (real and imaginary parts), z̄ their mean over S draws,
     and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and the
-    squared distance z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square. Errors with a Student
-    distribution are first replaced by their normal scores. For an FRF without marked values the distance is NaN.
+    squared distance z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square if the model is correct.
+    Errors with a Student distribution are first replaced by their normal scores. For an FRF without marked values
+    the distance is NaN.
     """
     squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
     low, _, high = amplitude

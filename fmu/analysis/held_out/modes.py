@@ -93,7 +93,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
           measurement predicted from the other modes, noise included, Hz;
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
         - ``freedom``: degrees of freedom of the measurement error's Student distribution; infinite for a Gaussian;
-        - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz;
+        - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz; NaN if not computed;
         - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;
         - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty. It is empty,
@@ -338,7 +338,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Predict mode `k` by updating with and without it, with at most `most` solves, or return a cached row."""
+    """Predict mode `k` by importance sampling with and without it; use at most `most` draws, or a cached row."""
     known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]

@@ -59,7 +59,7 @@ class Draws:
 
     @cached_property
     def _distinct(self) -> tuple[FloatArray, IntArray]:
-        """Model parameters at the distinct draws, (n_distinct, n_parameters), and each draw's index, (n,)."""
+        """Model parameters at the distinct draws, (n_distinct, n_parameters), and each draw's row there, (n,)."""
         return distinct_rows(self.problem.layout.of_model(self.theta))
 
     @cached_property

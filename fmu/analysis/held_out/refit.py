@@ -104,12 +104,12 @@ class LeftOut:
 
     @property
     def predicts(self) -> bool:
-        """Whether the weighted draws represent the leave-one-out posterior well enough."""
+        """Whether the weights for the leave-one-out posterior have a low Pareto k and an ESS of at least 400."""
         return bool(self.pareto_k[0] <= GOOD_K and self.effective >= _EFFECTIVE)
 
     @property
     def is_known(self) -> bool:
-        """Whether the standard error of the elpd is small enough."""
+        """Whether both Pareto k are low and the standard error of the elpd is small enough (`ACCEPTED`)."""
         return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
 
 

@@ -50,7 +50,7 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
     If the gradient does not vanish, log P is followed along the Newton step of the quadratic model, from 1e-8 to a
     tenth of the step. Bisection then finds the first point where log P rises by less than half of what the
     quadratic model predicts. If there is no such point, the kind is `SLOPE`. It is `EDGE` if log P is not finite
-    there, `JUMP` if log P falls there by more than 0.05, and otherwise `KINK`.
+    there, `JUMP` if log P falls there by more than 0.05 nats, and otherwise `KINK`.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ def theta_in_words(
 
 @dataclass(frozen=True, eq=False)
 class PosteriorMaximum:
-    """A local maximum of the posterior within the bounds, in SI units.
+    """A local maximum of the posterior within the bounds, or another point where an ascent ended, in SI units.
 
     Attributes
     ----------
@@ -193,8 +193,8 @@ class Maxima:
     def are_weighed(self) -> bool:
         """Whether the masses of the maxima are reliable.
 
-        Every point with more than 1 % of the mass must be a maximum, and `effective_draws` must be at least
-        `RELIABLE`.
+        Every point with more than 1 % of the mass must be a maximum or a kink, and `effective_draws` must be at
+        least `RELIABLE`.
         """
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 

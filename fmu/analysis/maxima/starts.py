@@ -261,7 +261,7 @@ def allot_chains(share: FloatArray, n: int) -> IntArray:
 
 
 def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n: int) -> FloatArray:
-    """Return `n` starting points around one maximum in scaled coordinates, shape (n, ndim)."""
+    """Return `n` starting points around one maximum in scaled coordinates, (n, ndim), as in `starts_at_maxima`."""
     temperature = DISPERSION**2
     u = model.proposal(scaled.lower, scaled.upper, temperature).draw(rng, n)
     rim = model.log_prob - temperature * float(gammaincinv(0.5 * scaled.ndim, NEARBY))

@@ -41,8 +41,8 @@ def predict_modes(
 
     The model is solved at posterior draws. With a discrepancy each mode has its own error, as an unmeasured mode
     would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error with standard deviation σ
-    (kind "modes"). The data inform the part of this error that all modes share. `fmu.predict_frequencies` predicts
-    the measured modes of an unmodified structure better.
+    (kind "modes"). The data inform the part of this error that all modes share.
+    `fmu.analysis.prediction.predict_frequencies` predicts the measured modes of an unmodified structure better.
 
     Parameters
     ----------

@@ -112,7 +112,10 @@ def scatter_table(found: tuple[Scatter, ...]) -> pd.DataFrame:
 
 
 def scatter_words(found: tuple[Scatter, ...]) -> list[str]:
-    """Return sentences that say which groups of parameters need scatter, and which of them cause the misfit."""
+    """Return sentences that say which groups of parameters need scatter, and which of them cause the misfit.
+
+    The list is empty if no scatter is inferred.
+    """
     if not found:
         return []
     said = [_of_one(one) for one in found]

@@ -1,4 +1,4 @@
-"""Plan a modal test: find the sensors, modes and structural changes that best determine the parameters.
+"""Plan a modal test: choose sensors, and compare modes, repeats and structural changes by expected information.
 
 Reading order: `plan`, `before`, `linearised`, `targets`, `design`; in `sensors`: `information`, `choice`, `bound`.
 """

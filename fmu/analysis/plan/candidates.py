@@ -125,7 +125,7 @@ def find_candidates(
 
 
 def _places(structure: SeparableModel) -> set[Any]:
-    """Return all places of a structure, including fixed ones, which have no free degrees of freedom.
+    """Return the places of a structure that may have no free degree of freedom, as fixed ones.
 
     These are the drawn points, the ends of rigid arms, and the places with constrained motion.
     """

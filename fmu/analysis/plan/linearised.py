@@ -134,7 +134,7 @@ def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
     """Linearise the test of a user's function or a surrogate, whose candidates are the sensors in the data.
 
     Raise ValueError if the test has changes, the model gives no mode shapes, the data lack the modes or channels,
-    or a mode moves no candidate or a candidate is moved by no mode.
+    a mode moves no candidate, or no mode moves a candidate.
     """
     if wishes.changes:
         raise ArgumentError("changes", "need a model with matrices", before.model.name)

@@ -1,4 +1,4 @@
-"""`fmu.plan`, which finds the sensors, modes, repeats and changes that best determine the parameters."""
+"""`fmu.plan`, which chooses sensors and compares modes, repeats and structural changes by expected information."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def discrepancy_doubts(problem: UpdatingProblem) -> list[str]:
 
     A warning concerns a parameter that should scatter but changes no mode, or two inferred standard deviations
     that the data cannot tell apart because their errors have the same pattern. Their Fisher information is then
-    singular.
+    nearly singular. The list is empty without a discrepancy.
     """
     likelihood = discrepant_likelihood(problem)
     if likelihood is None:

@@ -98,7 +98,7 @@ class InitialModes:
         The columns are ``number``, ``computed_hz``, the label ``mode`` of the paired measured mode,
         ``measured_hz``, ``error_percent``, ``mac``, ``subspace_mac`` of its group of close modes
         (`fmu.fem.pairing.correlation`), ``mpc`` of a measured shape that was complex, ``moves`` (the directions
-        with most kinetic energy) and ``seen`` (whether the mode moves a sensor).
+        with most kinetic energy) and ``seen`` (whether the mode moves a sensor). Values that do not exist are NaN.
         """
         import pandas as pd
 
@@ -150,7 +150,10 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
 
 
 def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
-    """Return warnings about mode shapes and sensors of several tests, for at most `_MOST_TESTS` tests."""
+    """Return warnings about mode shapes and sensors of several tests, for at most `_MOST_TESTS` tests.
+
+    The list is empty for a single test, or if shapes were not measured or the model gives none.
+    """
     model = problem.model
     if model.n_tests == 1 or problem.data.shapes is None or not model.gives_shapes:
         return []
@@ -242,8 +245,7 @@ def _of_function(
 def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
     """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes).
 
-    `frequencies_hz` (n_modes,) are the computed frequencies, which show with the measured ones which modes are
-    close.
+    The measured frequencies and the computed ones, `frequencies_hz` (n_modes,), decide which modes are close.
     """
     sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)

@@ -59,7 +59,7 @@ class MeasuredInTest:
         Prefix of the FRF names: the test's name and a colon, or nothing for a single test.
     data : FRFData
     computed : ndarray of complex, shape (n_frfs, n_lines)
-        In the units of the data; NaN at lines that are neither used nor held out.
+        In the units of the data; NaN at lines at which no FRF is used or held out.
     """
 
     of_test: str

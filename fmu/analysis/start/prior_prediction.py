@@ -34,7 +34,7 @@ class PriorPrediction:
     frequencies : ndarray, shape (n, n_modes)
         Computed frequencies at the draws at which the model did not fail.
     noise_sd : ndarray, shape (n_modes,)
-        Standard deviation of the measurement error; NaN if the error model has none.
+        Standard deviation of the measurement error; NaN if there is no error model of frequencies.
     failed : int
         Number of draws at which the model computed no finite frequencies.
     """
@@ -80,7 +80,10 @@ class PriorPrediction:
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
     def sentences(self) -> list[str]:
-        """Return sentences on failed draws and on measured frequencies far from the prior prediction."""
+        """Return sentences on failed draws and on measured frequencies far from the prior prediction.
+
+        If none is far, one sentence says so. With fewer than two draws, only failures are mentioned.
+        """
         said = []
         if self.failed:
             said.append(f"The model failed at {self.failed} of {self.failed + len(self.frequencies)} prior draws.")

@@ -35,7 +35,7 @@ class DistinctDraws:
     Attributes
     ----------
     theta : ndarray, shape (n, ndim)
-        Draws that differ from the previous draw of the same chain (or of the same walker in an ensemble).
+        The first draw of each chain (or walker of an ensemble), and draws that differ from its previous draw.
     inverse : ndarray of int, shape (chains, draws)
         Row of `theta` for each draw.
     """

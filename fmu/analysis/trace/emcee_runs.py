@@ -92,9 +92,9 @@ class StoredEnsemble:
 
 
 def check_alike(ensembles: list[StoredEnsemble]) -> None:
-    """Raise ValueError unless all ensembles have the same shape, parameter names and kind of blobs.
+    """Raise ValueError unless all ensembles have as many walkers and parameters, the same names, and like blobs.
 
-    The shape is the number of walkers and of parameters, and the kind of blobs is their type and shape.
+    Blobs are alike if they have the same type and shape.
     """
     first = ensembles[0]
     for k, ensemble in enumerate(ensembles):

@@ -55,9 +55,9 @@ def failures_csv(
     Returns
     -------
     str
-        One row per failed theta, in the order of `parts`: ``task``, ``phase`` and ``step`` as in `FailedSolves`;
-        the parameters in SI units, as ``E [Pa]``; ``reason``. Failures without a recorded theta are counted in a
-        row without parameters.
+        One row per recorded failure, in the order of `parts`: ``task``, ``phase`` and ``step`` as in
+        `FailedSolves`; the parameters in SI units, as ``E [Pa]``; ``reason``. Failures at a repeated or an
+        unrecorded theta are counted in a row without parameters.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

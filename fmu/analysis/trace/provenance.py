@@ -82,7 +82,7 @@ def versions() -> dict[str, str]:
 
 
 def _solver(density: LogDensity) -> str:
-    """Return the name of the library that factorises the full model's matrices, or "" if no model has matrices."""
+    """Return the name of the library that factorises the full model's matrices, or "" if there are no matrices."""
     from fmu.fem.pairing.paired_structure import structure_of
 
     structure = structure_of(density.model.parts[0]) if is_updating(density) else None

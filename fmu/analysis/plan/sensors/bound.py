@@ -56,7 +56,8 @@ def relax(readings: Readings, limits: Limits, steps: int = _STEPS) -> Relaxed:
 
     The minimum distance between sensors is ignored, which leaves the bound valid. With a budget, the number of
     sensors is ignored too. The ascent is a projected gradient method with Barzilai–Borwein steps. It ends when the
-    bound exceeds the value by less than 0.1 % (or 0.001 nats), when the value hardly increases, or after `steps`.
+    bound exceeds the value by less than 0.1 % (or 0.001 nats), when the value hardly increases, or after `steps`
+    steps.
     """
     by_cost = np.isfinite(limits.budget)
     price = limits.cost if by_cost else np.ones(len(limits.cost))
