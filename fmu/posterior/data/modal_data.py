@@ -329,7 +329,7 @@ class ModalData:
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
-        Modes with frequency NaN are left out, also of `tests`, whose pooled scatter changes; `sd_hz` does not.
+        Modes with frequency NaN are left out, also from `tests`. This changes a pooled scatter, but not `sd_hz`.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 

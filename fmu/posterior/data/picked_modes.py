@@ -37,9 +37,9 @@ def pick_modes(
     ----------
     data : FRFData
     numbers : sequence of int, optional
-        The number of the model's mode that corresponds to each resonance, counted from 1 among the elastic modes:
-        for pairing by shape, among those that move a response. Defaults to 1, 2, … in ascending order of
-        frequency. Give the numbers if the test misses a mode.
+        The model's mode for each resonance, numbered from 1 among the elastic modes or, for pairing by shape,
+        among the elastic modes that move a response. Defaults to 1, 2, … in ascending order of frequency. Give
+        the numbers if the test misses a mode.
     n : int, optional
         Largest number of resonances; the most prominent peaks are returned. Defaults to the length of `numbers`
         or, without numbers, to no limit.

@@ -77,7 +77,7 @@ def read_frf(
         If the file has no such FRFs, a kind or points are missing, the kind contradicts the file, or `fmu.FRFData`
         rejects the data.
     FileNotFoundError, ImportError
-        If the file does not exist, or its format needs pyuff or h5py and this is not installed.
+        If the file does not exist, or its format needs pyuff or h5py and the package is not installed.
     """
     found = read_frfs(Path(path), Wanted(drives, responses, nodes, variables or {}, frfs))
     if kind is not None and found.kind not in (None, kind):

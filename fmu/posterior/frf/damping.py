@@ -33,7 +33,7 @@ class ModalDamping:
     ----------
     ratios : float, Parameter, or sequence of float or Parameter
         Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last ratio
-        applies to all higher modes too. Only parts of the structure with drives and responses are counted.
+        applies to all higher modes too. Modes of parts without a drive or a response are not counted.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def bind_damping(
     ValueError
         If there is no damping, a parameter can be negative, a named parameter is unknown or does not change the
         stiffness, parameters that scale the same stiffness have different loss factors, an end of a dashpot does
-        not move, a matrix does not fit, two damping models are of one kind (dashpots and matrices may be), or
+        not move, a matrix does not fit, a kind of damping model other than dashpots and matrices occurs twice, or
         modal ratios are combined with damping that couples the modes.
     """
     models: list[DampingModel] = as_list(given)

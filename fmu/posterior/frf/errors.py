@@ -72,8 +72,8 @@ class FRFErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If a named channel has no FRF, the standard deviations were estimated from fewer than three hits or
-        averages, or an inferred `model_sd` has a negative lower bound.
+        If a named channel has no FRF, the standard deviations were estimated from at most two hits or averages,
+        or an inferred `model_sd` has a negative lower bound.
     """
 
     data: FRFData
@@ -113,7 +113,7 @@ class FRFErrors(QuantityErrors):
         parameters : sequence of Parameter
             Parameters of the model.
         discrepancy : Discrepancy, optional
-            Model discrepancy in the modes (`fmu.posterior.frf.scattered`).
+            Model discrepancy in the modes, with which a `ScatteredTerm` is returned.
 
         Raises
         ------

@@ -60,7 +60,8 @@ class TemperingKernel:
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw from the prior, move the replicas at the other rungs, and swap replicas every `swap_every` steps.
 
-        If the number of rungs has changed, each rung first takes the replica whose relative rank is nearest.
+        If the number of rungs has changed, each rung first takes the replica whose relative rank is nearest, and
+        all headings become 0.
         """
         old, heading, n_steps = replicas_of(state), state.extra["heading"], int(state.extra["n_steps"]) + 1
         rungs = len(self.temperatures)
