@@ -241,7 +241,7 @@ class _Learner:
     def check_draws(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
         """Solve at draws (n, ndim); return the surrogate's log-probability errors, (n,), and the solves.
 
-        An error is NaN where the solve failed.
+        An error is NaN where the solve failed. The frequency errors are stored for the certificate.
         """
         answers = self._solve(draws[:, : self.n], under_way)
         self.checks = answers.theta

@@ -126,7 +126,7 @@ class ProportionalDamping:
     def pull_back(
         self, lam: FloatArray, values: FloatArray, viscous: FloatArray, hysteretic: FloatArray
     ) -> FloatArray:
-        """Apply the chain rule: convert derivatives to derivatives with respect to the damping parameters, (n, q).
+        """Return derivatives with respect to the damping parameters, (n, q), by the chain rule.
 
         `viscous` and `hysteretic`, shape (n, r), are the derivatives with respect to c_r and h_r.
         """

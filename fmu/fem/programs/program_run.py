@@ -93,7 +93,8 @@ class ProgramRun:
     def _keep_files(self, reason: str, folder: Path, failed: Path) -> str:
         """Save a failed run's files, and return the reason with their folder added.
 
-        If `MOST_KEPT` runs are saved already and not all runs are to be kept, delete the files instead.
+        If `MOST_KEPT` runs are saved already and not all runs are to be kept, delete the files and return the
+        reason unchanged.
         """
         kept = sum(path.is_dir() for path in failed.parent.glob("*"))
         if kept >= MOST_KEPT and not self.keep:

@@ -99,7 +99,10 @@ class Solves:
         return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}
 
     def of(self, theta: FloatArray) -> list[Solve]:
-        """Return the solves at points theta (n, n_parameters), in the same order; equal points share a solve."""
+        """Return the solves at points theta (n, n_parameters), in the same order; equal points share a solve.
+
+        Failures are added to `reasons`.
+        """
         keys = [point.tobytes() for point in theta]
         found = {key: self._known[key] for key in keys if key in self._known}
         missing = {key: i for i, key in enumerate(keys) if key not in found}
@@ -153,7 +156,10 @@ class Solves:
         return self._remember(solve)
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return the duration in seconds of a call at theta (n_parameters,), even if the call fails."""
+        """Return the duration in seconds of a call at theta (n_parameters,), even if the call fails.
+
+        If the first call was made there and took less than `loading_s`, a second call is timed.
+        """
         solve = self.recall(theta) or self.of(theta[None])[0]
         if theta.tobytes() == self._first and solve.seconds < self.loading_s:
             self._first = b""

@@ -148,7 +148,7 @@ class SolveStore:
         ------
         ValueError
             If the two solves have arrays of different shapes, or their frequencies or mode shapes differ by more
-            than a solver's scatter (`MOST_SCATTER`).
+            than a solver's scatter (`MOST_SCATTER`, `_MOST_TURNED`).
 
         Warns
         -----

@@ -213,7 +213,8 @@ def _transform(
     """Return the local axes of the nodes of a *TRANSFORM, keyed by node id, as rows of arrays of shape (3, 3).
 
     The axes are rectangular, or cylindrical if TYPE=C. Raise ValueError unless there are six coordinates, and
-    RefusedError if they do not define three directions, or the node set or one of its nodes does not exist.
+    RefusedError if they do not define three directions, if there is no such node set, or if a node with
+    cylindrical axes does not exist.
     """
     words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:

@@ -167,8 +167,8 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
     """Read all numeric and text arrays in an HDF5 file, such as a MATLAB 7.3 file.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
-    numbers as pairs; both are converted. Datasets whose data are in other files are left out. Raise ValueError if
-    there are too many arrays, or one is too large.
+    numbers as pairs; both are converted. Datasets with external storage are left out. Raise ValueError if there
+    are too many arrays, or one is too large.
     """
     import h5py
 

@@ -121,7 +121,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     ----------
     file : binary file
     variable : str, optional
-        ``"stiffness"`` or ``"mass"``; required if the file contains both.
+        ``"stiffness"`` or ``"mass"``; required unless the file contains only stiffness.
 
     Raises
     ------

@@ -74,9 +74,10 @@ def read(path: Path, variable: str | None) -> Labelled:
 
 
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
-    """Yield the path and object of each group and dataset. Links and components of sparse matrices are skipped.
+    """Yield the path and object of each group and dataset.
 
-    Raise RefusedError if there are too many of them, or groups are nested too deeply.
+    Links, MATLAB's internal objects (``#…``) and components of sparse matrices are skipped. Raise RefusedError if
+    there are too many members, or groups are nested too deeply.
     """
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):

@@ -232,7 +232,10 @@ def _attribute(result: object, name: str) -> ArrayLike | None:
 
 
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Read all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Read all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`.
+
+    There must be one sensor per channel. Raise the same errors as `read_pyoma`.
+    """
     modes = read_pyoma(path, sensors=sensors)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 
