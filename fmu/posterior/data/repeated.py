@@ -29,7 +29,7 @@ class MeanFrequencies(NamedTuple):
 
 
 class _Scatter(NamedTuple):
-    """Means and sample standard deviations, Hz, degrees of freedom and numbers of tests, shape (n_modes,) each."""
+    """For each mode: the mean and sample standard deviation, Hz, degrees of freedom, and number of values."""
 
     mean: FloatArray
     s: FloatArray

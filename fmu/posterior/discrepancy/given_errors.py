@@ -123,7 +123,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return ExpandedErrors(self, rows.residuals, own, common, step, self._test, len(values))
 
     def sizes(self, noise: FloatArray) -> FloatArray:
-        """Return the latent errors' standard deviations, (n, n_errors), in the units of `ModelErrors.variances`.
+        """Return the latent errors' sds, (n, n_errors), the square roots of `ModelErrors.variances`.
 
         A standard deviation is zero if the variance is negative, which occurs if a correlation is out of bounds.
         """
@@ -131,7 +131,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
         return np.sqrt(np.maximum(np.concatenate([np.tile(own, self._n_groups), common], axis=1), 0.0))
 
     def errors_at(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return z of the used modes, (n, m, P), and w, (n, C), in the units of `ModelErrors.variances`.
+        """Return the latent errors multiplied by `sizes`: z of the used modes, (n, m, P), and w, (n, C).
 
         `noise`, (n, n_noise), has the inferred standard deviations followed by the latent errors.
         """

@@ -126,7 +126,7 @@ class ModalLikelihood(Likelihood):
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return sums of the used modes' squared normal scores by `chi_square` model, (n, n_kinds, n_used)."""
+        """Return the sum of squared normal scores by `chi_square` model and mode, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
