@@ -52,13 +52,14 @@ class UpdatingProblem(Posterior):
         ``"shape"``: by MAC with the measured shapes or, if there are none, with the model's modes before updating.
         ``"index"``: by number in the sorted spectrum. ``"soft"``: each measured mode is compared with all
         candidate modes, with weights exp(MAC/τ), so that the log-probability does not jump where modes veer; see
-        `fmu.posterior.errors.mixture` for the limits of this pairing.
+        `fmu.posterior.errors.mixture` for the limits of this pairing. The modes of a user's function are paired
+        by MAC for ``"shape"`` if shapes were measured and the function returns shapes, otherwise by number.
     softness : float
         The temperature τ of the weights, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual; 1 by
-        default, as in the paper. For frequencies, `beta` must not be given if `data` have standard deviations or a
-        covariance.
+        default, as in the paper. `beta` must not be given together with error models or, for frequencies, if
+        `data` have standard deviations or a covariance.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ``"frequency"``: ε = f − f^m in Hz, where f is the computed and f^m the measured frequency.
         ``"modal-residual"``: the residual of eq. (2) at the sensors, a pseudo-likelihood that needs measured

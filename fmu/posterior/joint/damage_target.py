@@ -30,6 +30,11 @@ class DamageTarget:
         The relative loss that matters, such as 0.1; between 0 and 0.5.
     prior : Prior, optional
         Prior of each loss, for a problem with one test; defaults to the prior of `Damage`.
+
+    Raises
+    ------
+    ValueError
+        If `beyond` is not between 0 and 0.5.
     """
 
     of: str | Sequence[str]

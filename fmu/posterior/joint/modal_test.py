@@ -50,8 +50,9 @@ class Test:
         State, location or season that several tests share, such as ``"before repair"``.
     covariates : mapping of str to float, Prior or None
         Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``. Give
-        an uncertain value as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``. Give None for a value that
-        was not measured: it is inferred, with a normal prior fitted to the values in the other tests.
+        an uncertain value as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``, and None for a value that
+        was not measured. If a parameter depends on the covariate, such values are inferred; a value that was not
+        measured has a normal prior fitted to the values in the other tests.
     masses : mapping of node or rigid arm to float, kg
         Point masses that were added for this test. A negative value is a mass that was removed.
     springs : mapping of (node or rigid arm, direction) to float, N/m or N·m/rad

@@ -66,8 +66,8 @@ def reduced_model(
 
     - A basis with which the frequencies are accurate to 1e-3 in the box, and to their tolerance wherever the
       log-probability is within that depth of its maximum, if this basis saves time.
-    - A basis of modes at draws from the prior and the posterior, if the log-probability errors are below
-      `LOOSEST_LOG_PROB`.
+    - A basis of modes at draws from the prior and the posterior, if the errors at fresh points from the posterior
+      are below `LOOSEST_LOG_PROB` and `LOOSEST_FREQUENCY`.
     - The full model, which is returned with None for the tolerance.
 
     A model without matrices is returned unchanged, with None. An engine solves the full model at

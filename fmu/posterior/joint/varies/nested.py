@@ -1,4 +1,4 @@
-"""A parameter that scatters between groups of tests and within them, such as by season and by day."""
+"""A parameter that scatters between groups of tests and within them, for example by season and by day."""
 
 from __future__ import annotations
 
