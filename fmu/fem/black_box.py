@@ -220,7 +220,7 @@ class BlackBoxModel:
     def _store(self) -> SolveStore | None:
         """Return the store for solves, or None if no folder is given.
 
-        Its name contains a hash of everything that affects the function's results.
+        Its name contains a hash of the function's source code and name, and of the sensors.
         """
         if self._folder is None:
             return None

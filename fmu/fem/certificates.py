@@ -143,9 +143,9 @@ class SurrogateCertificate(Certificate):
     failed : int
         Number of solves that failed.
     failed_where : str
-        Where solves failed, in words.
+        Where the solves of the design failed, in words; empty if none did.
     doubts : str
-        Warnings on modes that may have been confused with other modes, one line per mode.
+        Warnings on modes that may have been confused with other modes, one line per mode; empty if there are none.
     scatter : float
         Estimated relative scatter of the solver's frequencies.
     log_prob_error : float

@@ -43,7 +43,10 @@ class Reduction:
     retained: IntArray
 
     def eigen(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest eigenvalues (count,) in (rad/s)², and the full mode shapes (n_dof, count)."""
+        """Return the lowest eigenvalues (count,) in (rad/s)², and the full mode shapes (n_dof, count).
+
+        Raise ValueError if the reduced matrices have fewer than `count` modes with a finite frequency.
+        """
         lam, q = eigen(sp.csr_array(self.K), sp.csr_array(self.M), count)
         return lam, self.basis @ q
 
@@ -165,7 +168,9 @@ class SingularCondensationError(ValueError):
 
 
 class StaticCondensation:
-    """Static response u = T x of the whole structure to master displacements x; T = [I; −K_ss⁻¹ K_sm].
+    """Static response u = T x of the whole structure to displacements x of its masters.
+
+    T = [I; −K_ss⁻¹ K_sm], where m are the masters and s all other degrees of freedom.
 
     Parameters
     ----------
@@ -176,7 +181,7 @@ class StaticCondensation:
     Raises
     ------
     SingularCondensationError
-        If K_ss is singular.
+        If K_ss is singular to rounding.
     """
 
     def __init__(self, K: Matrix, masters: IntArray) -> None:

@@ -1,10 +1,11 @@
 """Double-precision solutions of A x = b from single-precision factors of A, which take half the memory.
 
-Let F be the product of the factors. It differs from A by rounding, so that all but the lowest eigenvalues of F⁻¹ A
-are nearly 1. If A is positive definite, F is the preconditioner for conjugate gradients, in a form that allows for
-the rounding of F⁻¹ (Golub & Ye 1999, *SIAM J. Sci. Comput.* 21, 1305–1320, algorithm 2.1), and a few steps are
-enough. If A is indefinite, F is used for iterative refinement, x ← x + F⁻¹ (b − A x), whose error is multiplied by
-I − F⁻¹ A in each step (Higham 2002, *Accuracy and Stability of Numerical Algorithms*, chapter 12).
+Let F be the product of the factors. It differs from A by rounding, which matters only for the lowest eigenvalues
+of A: all other eigenvalues of F⁻¹ A are nearly 1. If A is positive definite, F is the preconditioner for conjugate
+gradients, in a form that allows for the rounding of F⁻¹ (Golub & Ye 1999, *SIAM J. Sci. Comput.* 21, 1305–1320,
+algorithm 2.1), and a few steps are enough. If A is indefinite, F is used for iterative refinement, x ← x + F⁻¹ (b
+− A x), whose error is multiplied by I − F⁻¹ A in each step (Higham 2002, *Accuracy and Stability of Numerical
+Algorithms*, chapter 12).
 
 If the spectral radius of I − F⁻¹ A is below 1, F and A have equally many negative eigenvalues: with A = F + E, no
 F + t E with t in [0, 1] is singular. The radius is estimated by power iteration from a random vector. The number
@@ -193,9 +194,10 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
 
 
 def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
-    """Raise StalledError unless each step of refinement removes at least half of the error.
+    """Raise StalledError if a step of refinement leaves more than half of the error.
 
-    If it does, A and F have equally many negative eigenvalues.
+    Otherwise A and F have equally many negative eigenvalues. The share that is left is estimated by power
+    iteration.
     """
     x = np.random.default_rng(0).standard_normal((A.shape[0], 1))
     kept = np.inf
@@ -208,7 +210,7 @@ def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
 
 
 def _solve_scaled(solve: Solve, loads: FloatArray) -> FloatArray:
-    """Return F⁻¹ b for b (n, m). Columns are scaled to 1 to stay within the range of single precision."""
+    """Return F⁻¹ b for b (n, m). Columns are scaled to a largest entry of 1, to suit single precision."""
     size = np.max(np.abs(loads), axis=0)
     size = np.where(size > 0.0, size, 1.0)
     return solve(loads / size) * size

@@ -149,10 +149,10 @@ class Block:
         A φ_jk = −(A_j φ_k + A_k φ_j + A_jk φ),
         φᵀM φ_jk = −(φ_jᵀM φ_k + φᵀ∂_jM φ_k + φᵀ∂_kM φ_j + ½ φᵀ∂_jkM φ).
 
-        One adjoint y_j for each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0, which is
-        a shape derivative with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is y_jᵀ times the right side of the first
-        equation plus φᵀleft_j times the right side of the second. As y_jᵀMφ = 0, the second derivatives of λ drop
-        out.
+        One adjoint y_j for each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0. These are
+        the equations of a shape derivative with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is y_jᵀ times the right
+        side of the first equation plus φᵀleft_j times the right side of the second. As y_jᵀMφ = 0, the second
+        derivatives of λ drop out.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class Block:
     def _shape_slopes_along(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
     ) -> FloatArray:
-        """Return derivatives of the lowest m shapes along q directions d each, shape (n, size, m, q).
+        """Return the derivatives of the lowest m shapes, each along q directions d, shape (n, size, m, q).
 
         `dK_phi` and `dM_phi`, of the same shape, are ∂_dK φ and ∂_dM φ. Rotations between modes whose eigenvalues
         are closer than `fmu.fem.modes.derivatives.CLOSE` are omitted, unless the block is reduced and `massless`.

@@ -27,7 +27,7 @@ class Change:
     masses : mapping of place to float, kg
         Added point masses; a negative value is a mass that was removed.
     springs : mapping of (place, direction) to float, N/m or N·m/rad
-        Added springs to the ground, such as a support.
+        Added springs to the ground, such as a support; a negative value is a spring that was removed.
     """
 
     masses: Mapping[Place, float] = field(default_factory=dict)

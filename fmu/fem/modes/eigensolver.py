@@ -55,10 +55,10 @@ class SingularMassError(ValueError):
 
 
 def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
-    """Return the factors of A from S = D A D (`unit_diagonal`), or None unless A is clearly positive definite.
+    """Return the factors of A from S = D A D, or None unless A is clearly positive definite.
 
-    Explicit zeros in a large matrix are removed first. Its factors are stored and reused, so they must not depend
-    on the order in which the matrix was summed.
+    S and `scale`, the diagonal of D, come from `unit_diagonal`. Explicit zeros in a large matrix are removed
+    first. Its factors are stored and reused, so they must not depend on the order in which the matrix was summed.
     """
     if sp.issparse(S) and S.shape[0] >= LARGE:
         S = sp.csr_array(S, copy=True)
@@ -191,9 +191,10 @@ def _definite(matrix: Matrix) -> Factor:
 
 
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
-    """Return True if a positive definite matrix A, factorised in `factor`, is so by more than rounding.
+    """Return True if a positive definite matrix A has no eigenvalue near zero when scaled to a unit diagonal.
 
-    `scale` is the diagonal of D for which D A D has a unit diagonal. An indefinite A is not detected.
+    `factor` factorises A, and `scale` is the diagonal of D for which D A D has a unit diagonal. It is not checked
+    that A is definite.
     """
     # four steps of inverse iteration: the estimate is never below the lowest eigenvalue
     x = _start(len(scale))
@@ -322,7 +323,7 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 def _all_below_zero(
     solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenpairs, all below `ZERO` and at least one above, but no more than `most`.
+    """Return the lowest eigenpairs: all that are below `ZERO`, and at least one more, but at most `most`.
 
     ``solve(count)`` returns the lowest `count` pairs.
     """

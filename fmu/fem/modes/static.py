@@ -89,7 +89,7 @@ class MassMoments:
 
 
 class StaticDisplacement:
-    """Displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
+    """Displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load f, where b maps displacements to the measured one.
 
     K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. The basis contains the primal and the dual solution,
     so the error of u is the product of their errors (Quarteroni, Manzoni & Negri 2016, chapter 3).

@@ -145,9 +145,9 @@ def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -
 def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
     """Return starting rotations (n, 3, 3) and shifts (n, 3).
 
-    Rotations of axes and principal axes start with the centres, corners or origins superposed; random rotations
-    start with the centres superposed. The centre is either the mean of the points or the middle of their bounding
-    box.
+    Rotations that map axes or principal axes onto each other are combined with shifts that superpose the centres,
+    the corners or the origins. Random rotations are combined only with shifts that superpose the centres. The
+    centre is either the mean of the points or the middle of their bounding box.
     """
     axes = Rotation.create_group("O").as_matrix()
     V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
@@ -196,7 +196,7 @@ def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return the angle in degrees and the axis (3,) of the rotation matrix R; the axis is zero if the angle is."""
+    """Return the angle in degrees and the axis (3,) of the rotation R. The axis of the identity is zero."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

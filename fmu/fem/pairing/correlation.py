@@ -71,9 +71,10 @@ def _factor(phi: FloatArray, psi: FloatArray) -> float:
 def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return each sensor's coordinate modal assurance criterion (Lieven & Ewins 1988), shape (n_sensors,).
 
-    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k. It is 1 if the measured and
-    computed components at the sensor are proportional, whatever their signs, or all zero. It is 0 if only the
-    measured or only the computed components are all zero.
+    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k, where φ and ψ are the measured
+    and the computed shapes after `scale_shapes`. It is 1 if the components of φ and ψ at the sensor are
+    proportional, whatever their signs, or all zero. It is 0 if only the measured or only the computed components
+    are all zero.
     """
     phi, psi = scale_shapes(measured, computed)
     size = np.sum(phi**2, axis=1) * np.sum(psi**2, axis=1)
@@ -84,8 +85,9 @@ def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return each sensor's enhanced CoMAC (Hunt 1992, IMAC X), shape (n_sensors,).
 
-    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the computed shape's root mean square. It is
-    0 where the shapes are equal in sign and size, and the mean of |ψ_jk| where only the signs are wrong.
+    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, where φ and ψ are the measured and the computed shapes
+    after `scale_shapes`. Its unit is the computed shape's root mean square. It is 0 where the shapes are equal in
+    sign and size, and the mean of |ψ_jk| where only the signs are wrong.
     """
     phi, psi = scale_shapes(measured, computed)
     return np.asarray(0.5 * np.mean(np.abs(phi - psi), axis=1))

@@ -207,7 +207,8 @@ def match_points(
     """Match each measurement point to the nearest model node, after a rigid alignment if one is needed.
 
     ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` then has the sensors at these nodes, in
-    the model directions that correspond to the test's axes.
+    the model directions that correspond to the test's axes. Nodes inside solids, and nodes that neither move nor
+    are plotted, are not used.
 
     Parameters
     ----------

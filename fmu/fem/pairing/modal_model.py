@@ -172,7 +172,7 @@ class ModalModel:
         yield from ()
 
     def coarser(self, share: float) -> Self:
-        """Return a cheaper model that uses a share of the reduced basis, or the model itself if not reduced."""
+        """Return a cheaper model that uses a share of the reduced basis, or itself if the model is not reduced."""
         return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
@@ -196,7 +196,10 @@ class ModalModel:
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return one test's frequencies in Hz, (n, m) for its m measured modes, at `values` (n, n_structural)."""
+        """Return one test's frequencies in Hz, (n, m), for its m measured modes.
+
+        `values`, shape (n, n_structural), are the structural parameters in this test.
+        """
         return self.frequencies(values)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -211,9 +214,9 @@ class ModalModel:
         """Return frequencies, gradients, and second derivatives along directions that are given later.
 
         The result's `gradient` is J (n, n_modes, n_parameters). Its ``curvature(d)``, with d of the same shape,
-        returns H_i d_i for each mode i. For structures given by matrices, both come from one eigenproblem. By
-        default, the second derivatives are differences of gradients, at a cost of 2 n_modes more gradients per
-        theta.
+        returns H_i d_i for each mode i, where H_i is the matrix of second derivatives of frequency i. For
+        structures given by matrices, both come from one eigenproblem. By default, the second derivatives are
+        differences of gradients, at a cost of 2 n_modes more gradients per theta.
 
         Parameters
         ----------

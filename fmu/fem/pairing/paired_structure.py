@@ -182,7 +182,7 @@ class PairedStructure(ModalModel):
     def solved_by(
         self, blocks: tuple[Block, ...], pairing: IndexPairing | ShapePairing | RankPairing
     ) -> PairedStructure:
-        """Return a copy that is solved with other blocks and another pairing."""
+        """Return a model of the same structure and measurement, solved with other blocks and another pairing."""
         own = (self.rule, self.n_modes, self._sensors, self._at_sensors)
         return PairedStructure(self.structure, blocks, *own, pairing)
 
@@ -311,7 +311,7 @@ class PairedStructure(ModalModel):
 
     @property
     def solver(self) -> str:
-        """Name of the solver for matrices of the largest block's size, if they have no narrow band.
+        """Name of the solver for the largest block, unless its matrices have a narrow band.
 
         It is LAPACK for up to `DENSE_LIMIT` degrees of freedom, otherwise the sparse solver in use.
         """

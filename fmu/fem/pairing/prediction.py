@@ -27,7 +27,7 @@ class ModalPrediction:
 
     Attributes
     ----------
-    frequencies : ndarray, shape (n, n_modes), Hz; NaN where a solve failed
+    frequencies : ndarray, shape (n, n_modes), Hz; NaN where a solve failed or λ is clearly negative
     shapes : ndarray, shape (n, n_sensors, n_modes)
         Shapes at the sensors, with arbitrary signs: mass-normalised for a structure given by matrices, of unit
         length for a surrogate, and in the function's scale for a user's function.
@@ -49,7 +49,7 @@ class ModalPrediction:
 
     @property
     def failed(self) -> BoolArray:
-        """Mask of modes whose solve failed, shape (n, n_modes)."""
+        """Mask of modes without a frequency, shape (n, n_modes)."""
         return np.isnan(self.frequencies)
 
 
@@ -59,12 +59,12 @@ class Candidates:
 
     Attributes
     ----------
-    frequencies : ndarray, shape (n, k), Hz; NaN where a solve failed
+    frequencies : ndarray, shape (n, k), Hz; NaN where a solve failed or λ is clearly negative
     shapes : ndarray, shape (n, n_sensors, k)
         Shapes at the sensors if shapes were measured, otherwise empty: n_sensors = 0.
     mac : ndarray, shape (n, m, k)
         MAC with the measured shapes or the references; −inf for a mode that moves none of the compared
-        coordinates.
+        coordinates, NaN where a solve failed.
     frequency_slopes : ndarray, shape (n, k, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, k, n_parameters), or None
     mac_slopes : ndarray, shape (n, m, k, n_parameters), or None
@@ -79,7 +79,7 @@ class Candidates:
 
     @property
     def failed(self) -> BoolArray:
-        """Mask of modes whose solve failed, shape (n, k)."""
+        """Mask of modes without a frequency, shape (n, k)."""
         return np.isnan(self.frequencies)
 
 

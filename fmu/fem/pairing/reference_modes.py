@@ -26,8 +26,8 @@ def reference_modes(
 ) -> ShapePairing:
     """Return a pairing by shape whose references are the model's elastic modes that the sensors can see.
 
-    Without measured shapes, a mode that moves none of the sensors cannot have been measured. The references are
-    the lowest `n_modes` visible modes in ascending order or, if given, the `counterparts`.
+    It is used if no shapes were measured. A mode that moves none of the sensors cannot have been measured. The
+    references are the lowest `n_modes` visible modes in ascending order or, if given, the `counterparts`.
 
     Parameters
     ----------

@@ -67,8 +67,8 @@ class Pairing(ABC):
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return the block and rank of each paired mode, (n, n_modes) each, and the solved modes keyed by block.
 
-        Block and rank are −1 in rows where a solve failed. Rules that know them without solving shapes return an
-        empty dict. With `gradient`, enough modes are computed for `Block.seen` to give derivatives.
+        If modes are solved for this, block and rank are −1 in rows where a solve failed. The dict is empty unless
+        shapes are solved for. With `gradient`, enough modes are computed for `Block.seen` to give derivatives.
         """
 
 

@@ -45,7 +45,7 @@ class Sensitivities:
 
     Attributes
     ----------
-    frequencies : ndarray, shape (n, m), Hz; NaN where a solve failed
+    frequencies : ndarray, shape (n, m), Hz; NaN where a solve failed or λ is clearly negative
     gradient : ndarray, shape (n, m, n_parameters)
     shapes, shape_slopes : ndarray, shapes (n, q, m) and (n, q, m, n_parameters), or None
         Shapes at the q sensors and their derivatives, if requested.

@@ -87,7 +87,8 @@ class Far(NamedTuple):
     is_above : bool
         True if the point is far above `value`, False if below.
     is_negative : bool
-        Whether K + s M has a negative eigenvalue in the reduced space at the point.
+        Whether K + s M has a negative eigenvalue in the reduced space at the point. Not tested, and False, if the
+        bound is `Anchors.proven`.
     """
 
     theta: FloatArray
@@ -245,7 +246,7 @@ class Anchors:
     def stretch(self, theta: FloatArray) -> FloatArray:
         """Return γ (n,) for which K + s M at theta (n, p) is at most γ times K + s M at the first anchor point.
 
-        γ is infinite unless the bound is `proven`.
+        γ is infinite if the bound is not `proven`, or if a term is zero at that point.
         """
         if not self.proven:
             return np.full(len(theta), np.inf)

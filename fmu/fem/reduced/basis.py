@@ -3,9 +3,9 @@
 K(theta) and M(theta) are sums of fixed matrices, so the modes at all theta in a box lie close to a space of
 few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition to a basis that is
 orthonormal in the mass matrix at the box's centre. Every term is projected onto the basis once. A solve is then a
-dense eigenproblem of order 10 to 50, whatever the size of the structure. A batch of solves is one call to NumPy's
-batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
-chapter 6). By Rayleigh's principle the reduced eigenvalues are never below the exact ones.
+dense eigenproblem, usually of order 10 to 50, whatever the size of the structure. A batch of solves is one call to
+NumPy's batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential
+Equations*, chapter 6). By Rayleigh's principle the reduced eigenvalues are never below the exact ones.
 """
 
 from __future__ import annotations
@@ -102,7 +102,10 @@ class ReducedBlock(Block):
         return self.truncate(few) if few < self.size < len(self.dofs) else self
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
-        """Return the lowest eigenvalues in (rad/s)², shape (n, count), with NaN where the solver fails."""
+        """Return the lowest eigenvalues in (rad/s)², shape (n, count).
+
+        They are NaN where the solver fails, and for modes beyond the rank of M.
+        """
         if self.massless:
             return self.modes(theta, count)[0]
         A = assemble(self._K, self._K_map.coefficients(theta))

@@ -2,11 +2,11 @@
 
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
 Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the modes at
-the anchor points. The corrections are w = Ā⁻¹ r with the factors from training. At the first point K − σ M is
-factorised. Its negative eigenvalues are as many as the λ below σ (Sylvester), so they show whether a mode is
-missing. If their number does not agree with the modes found, the ordinary eigensolver is used from then on. The
-ordinary eigensolver is also used where the iterations do not converge. Several points are tasks for the block's
-engine, if it has one.
+the anchor points. The correction for a residual r is Ā⁻¹ r, where Ā is K + s M at an anchor point, with its
+factors from training. At the first point K − σ M is factorised, with σ between two modes. Its negative eigenvalues
+are as many as the λ below σ (Sylvester), so they show whether a mode is missing. If their number does not agree
+with the modes found, the ordinary eigensolver is used from then on. The ordinary eigensolver is also used where
+the iterations do not converge. Several points are tasks for the block's engine, if it has one.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class _Start(NamedTuple):
     anchor : int
         Index of the anchor point whose factors are used.
     alpha : float
-        The factor α in the bound A ≥ α Ā.
+        The factor α in A ≥ α Ā, where A is K + s M at the point and Ā at the anchor point.
     n_wanted, n_converged : int
         Number of modes to compute, and number of modes that must converge.
     """

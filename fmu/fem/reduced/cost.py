@@ -66,7 +66,7 @@ class Cost:
 
     @property
     def solve(self) -> float:
-        """Cost of a solve for one right-hand side with existing factors."""
+        """Cost of one iteration with existing factors: a solve for one right-hand side, and the work beside it."""
         return _AN_ITERATION + _A_SOLVE * self.n_entries
 
     @property

@@ -1,9 +1,9 @@
 """The trial space of one block in training: it grows by corrections of modes, and is finally truncated.
 
-A correction w = Ā⁻¹ r from a residual r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94). One
-factorisation of Ā serves all points in the box. The corrections at a few points are compressed by proper
-orthogonal decomposition in the inner product of Ā before they are added to the space. In that inner product the
-energy of an error is the relative error of an eigenvalue.
+Let Ā = K + s M at an anchor point. A correction w = Ā⁻¹ r from a mode's residual r is a step of Davidson's method
+(1975, *J. Comput. Phys.* 17, 87–94). One factorisation of Ā serves all points in the box. The corrections at a few
+points are compressed by proper orthogonal decomposition in the inner product of Ā before they are added to the
+space. In that inner product the energy of an error is the relative error of an eigenvalue.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ def count_needed(
 ) -> tuple[RankPairing | None, dict[int, int]]:
     """Return the pairing as fixed ranks, or None if the ranks vary, and the number of modes each block needs.
 
-    Both follow from the solves at the points that all learners have visited.
+    Both follow from the solves at the first points, up to which all learners have visited the same points.
     """
     # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
@@ -322,8 +322,8 @@ def snapshot_basis(
     """Return the basis (n_dof, q) that best approximates the lowest modes at theta (n, n_parameters).
 
     It is meant for a box so wide that no basis is accurate everywhere. The modes are compressed by proper
-    orthogonal decomposition in the inner product of Ā = K + s M at an anchor point. In this inner product the
-    energy of an error is the relative error of an eigenvalue (Quarteroni, Manzoni & Negri 2016, *Reduced Basis
+    orthogonal decomposition in the inner product of Ā = K + s M at the first anchor point. In this inner product
+    the energy of an error is the relative error of an eigenvalue (Quarteroni, Manzoni & Negri 2016, *Reduced Basis
     Methods for Partial Differential Equations*, chapter 6). The basis is accurate near theta; elsewhere its error
     is unknown.
 

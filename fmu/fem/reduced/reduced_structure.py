@@ -50,7 +50,8 @@ class ReducedStructure(Approximation):
     confirmed : bool
         Whether training succeeded; see `Trained`.
     elsewhere : float or None
-        The larger tolerance outside the part of the box that matters, or None if one tolerance applies everywhere.
+        The larger tolerance outside the part of the box that matters (`region` in `train`), or None if one
+        tolerance applies everywhere.
     """
 
     cheap: PairedStructure

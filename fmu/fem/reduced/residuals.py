@@ -60,8 +60,8 @@ class Bounded(NamedTuple):
     error : ndarray, shape (n, m)
         Bound on the relative frequency error; infinite where there is none.
     corrections : callable
-        Maps a mask (n, m) of q modes to the vectors w / √σ, shape (n_dof, q). Half the energy of each vector in Ā
-        is about the error of its mode.
+        Maps a mask (n, m) of q modes to the vectors w / √σ, shape (n_dof, q), with the symbols of the module. Half
+        the energy of each vector in Ā is about the error of its mode.
     """
 
     eigenvalues: FloatArray
@@ -99,9 +99,10 @@ def bound_errors(
 def _solve_residuals(
     space: Space, anchors: Anchors, theta: FloatArray, best: IntArray, lam: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the corrections w = Ā⁻¹ r of modal residuals r, (n_dof, n, m), rᵢᵀ wⱼ (n, m, m) and wᵀ M w (n, m).
+    """Return the corrections w = Ā⁻¹ r, shape (n_dof, n, m), the products rᵢᵀ wⱼ, (n, m, m), and wᵀ M w, (n, m).
 
-    `best` (n,) is the index of the anchor point used at each theta.
+    r is the residual of a mode with λ in `lam` (n, m) and shape V y. `best` (n,) is the index of the anchor point
+    used at each theta.
     """
     n_dof, (n, count) = space.block.size, lam.shape
     R = np.empty((n_dof, n, count), order="F")
@@ -137,7 +138,7 @@ def frequency_error(
 ) -> FloatArray:
     """Return bounds on the relative errors of the frequencies, shape (n, m).
 
-    A bound is 0 for a rigid-body mode, and infinite where none is known.
+    A bound is 0 for a rigid-body mode, and infinite where none is known. The symbols are those of the module.
 
     Parameters
     ----------

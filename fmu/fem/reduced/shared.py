@@ -1,10 +1,11 @@
 """Residuals of a reduced model at all points in its box, from one set of right-hand sides.
 
 The residual of a Ritz pair, r = Σ_k c_k(θ) K_k V y − μ Σ_l d_l(θ) M_l V y, is a sum of the vectors K_k V and M_l
-V, which do not depend on θ. W = Ā⁻¹ [K_k V, M_l V] is solved for once. The energies rᵀ Ā⁻¹ r and the corrections
-Ā⁻¹ r of every mode at every θ then need no further solve (offline and online stage; Rozza, Huynh & Patera 2008,
-*Arch. Comput. Methods Eng.* 15, 229–275, section 8). An energy is a difference of numbers of the size of λ, so its
-rounding error is 1e-15 λ, whereas the frequency errors that matter are above 1e-9.
+V, which do not depend on θ. W = Ā⁻¹ [K_k V, M_l V] is solved for once, where Ā is K + s M at the anchor point. The
+energies rᵀ Ā⁻¹ r and the corrections Ā⁻¹ r of every mode at every θ then need no further solve (offline and online
+stage; Rozza, Huynh & Patera 2008, *Arch. Comput. Methods Eng.* 15, 229–275, section 8). An energy is a difference
+of numbers of the size of λ, so its rounding error is 1e-15 λ, whereas the frequency errors that matter are above
+1e-9.
 """
 
 from __future__ import annotations

@@ -291,7 +291,7 @@ class Training:
         return sum(learner.space.size for learner in self.learners.values())
 
     def _allowed_errors(self, b: int) -> FloatArray:
-        """Return the errors (m,) allowed in block `b`'s needed modes or, until known, in all candidates."""
+        """Return the errors (m,) allowed in the needed modes of block `b` or, if unknown, in all candidates."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
@@ -302,7 +302,7 @@ class Training:
             self.shared[b] = self.learners[b].share_with(self.reduced[b].basis)
 
     def is_cut(self) -> bool:
-        """Return True if a basis has reached its largest useful size, so that more points cannot improve it."""
+        """Return True if the basis of a large block has its largest useful size: more points cannot improve it."""
         return any(
             len(of.basis) > DENSE_LIMIT and of.size >= self._affordable(b) for b, of in self.reduced.items()
         )
@@ -320,8 +320,8 @@ class Training:
     def prefers_full(self) -> bool:
         """Return True if the full model should be used, because the reduced model is inaccurate and saves little.
 
-        It saves little if a full solve costs no more than a reduced one, or at most `CHEAP`. A run of 20 000 full
-        solves then takes minutes.
+        It saves little if the structure has large blocks and their full solves cost no more than reduced ones, or
+        at most `CHEAP`. A run of 20 000 full solves then takes minutes.
         """
         full = sum(cost.full for cost in self.costs.values())
         reduced = sum(self.costs[b].of_reduced(of.size) for b, of in self.reduced.items() if b in self.costs)

@@ -167,7 +167,10 @@ class Process:
         return self._mean + self.unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
 
     def _remaining_variance(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the posterior variance (n,) of the scaled y: k(x, x) − uᵀu, where u = L⁻¹k has shape (n, N)."""
+        """Return the posterior variance (n,) of the scaled y: k(x, x) − uᵀu, where u = L⁻¹k has shape (n, N).
+
+        k are the covariances with the N points, and L is the Cholesky factor of their covariance matrix.
+        """
         own = np.ones(len(x))
         for j in range(x.shape[1]):
             own += x[:, j] ** 2

@@ -129,7 +129,10 @@ class SurrogateModel(ModalModel):
         return self._where_feasible(x, np.exp(0.5 * z))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return expected frequencies in Hz, (n, n_modes), and exact gradients, (n, n_modes, n_parameters)."""
+        """Return expected frequencies in Hz, (n, n_modes), and exact gradients, (n, n_modes, n_parameters).
+
+        Frequencies are NaN where a solve would probably fail.
+        """
         seen = self.observed(theta, gradient=True)
         assert seen.frequency_slopes is not None  # narrowed for the type checker: requested above
         return seen.frequencies, seen.frequency_slopes

@@ -59,7 +59,7 @@ def find_band(indptr: bytes, indices: bytes, dtype: str) -> Band | None:
 
 
 class BandedFactor:
-    """Cholesky factors of a definite banded matrix. Raises LinAlgError if the matrix is not definite."""
+    """Cholesky factors of a positive definite banded matrix. Raises LinAlgError if the matrix is not definite."""
 
     negative = 0
     L: FloatArray | None = None
