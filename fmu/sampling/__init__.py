@@ -91,8 +91,9 @@ def sample(
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`). For a density other than an `UpdatingProblem` this means draws
-        from its prior, if it has one, unless it has several maxima. ``"prior"``: at draws from the prior.
+        probability (`fmu.analysis.maxima.starts`), or around the typical point of a hierarchical posterior. Any
+        other log-density with a prior starts at draws from it, unless it has several maxima with reliable masses
+        or is not finite at some draws. ``"prior"``: at draws from the prior.
         ``"start"``: at ``problem.start``. An array: at these points, in SI units.
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
