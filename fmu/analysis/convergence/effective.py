@@ -304,7 +304,7 @@ def _live_rhat(x: FloatArray, walkers: int) -> float:
 
 
 def _live_ess(x: FloatArray, walkers: int) -> float:
-    """Return the bulk ESS of one parameter of a run in progress, from draws of shape (chains, steps · walkers)."""
+    """Return the bulk ESS of one parameter's draws, (chains, steps · walkers), from batch means of a long run."""
     steps = x.shape[1] // walkers
     if steps <= MOST_BATCHES or not np.all(np.isfinite(x)) or np.ptp(x) == 0:
         return ess_bulk(x, walkers)

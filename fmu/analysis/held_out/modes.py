@@ -218,9 +218,9 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     """Predict each mode from its leave-one-out posterior, with at most `most` solves per mode.
 
     Return the predictions keyed by mode index. One set of candidates is first used for all modes. Modes that it
-    does not cover well get candidates of their own. Unreliable predictions are left out, and so are all
-    predictions if the posterior is a funnel, because Gaussians are poor candidates there. Results are cached with
-    the problem and do not depend on the draws, so one computation serves all samplers.
+    does not cover well get candidates of their own. Unreliable predictions are left out. There are none if `most`
+    is less than `SOLVES`, or if the posterior is a funnel, because Gaussians are poor candidates there. Results
+    are cached with the problem and do not depend on the draws, so one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES and not is_in_funnel(problem):

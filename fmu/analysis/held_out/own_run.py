@@ -79,8 +79,8 @@ def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 
     Walkers start at `near`, draws from the posterior with the mode, and spread over the posterior without it.
     Candidates come from a mixture that is fitted first to the walkers and then, in rounds, to the candidates.
-    Parameters with log-normal priors are replaced by their logarithms, whose posterior is less skewed. If the
-    Pareto k of the weights is low, as many draws are resampled from the candidates as their ESS.
+    Parameters with log-normal priors are replaced by their logarithms, whose posterior is less skewed. Once the
+    Pareto k of the weights is low and their ESS at least 400, as many draws are resampled from the candidates.
     """
     density = LogarithmicDensity(without)
     rounds, u = Rounds(Target(density)), density.to_scaled(near[rng.choice(len(near), _WALKERS)])

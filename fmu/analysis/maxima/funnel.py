@@ -171,9 +171,9 @@ class _Given:
     def highest_plateau(self, component: Quadratic, least: FloatArray) -> int:
         """Return the index of the parameter with the highest plateau of the density, or −1 if there is none.
 
-        The density is compared with a component along each parameter, with the others at their means given its
-        value. The size of the discrepancy is left out, and so is a parameter whose standard deviation in the
-        component is below `least` (ndim,).
+        The density is compared with a component two standard deviations to either side along each parameter, with
+        the others at their means given its value. The size of the discrepancy is left out, and so is a parameter
+        whose standard deviation in the component is below `least` (ndim,).
         """
         covariance = np.linalg.inv(component.hessian)
         sd = np.sqrt(np.diag(covariance))

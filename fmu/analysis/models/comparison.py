@@ -127,7 +127,8 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
 def _data(trace: xr.DataTree) -> dict[str, object]:
     """Return the properties on which the compared models must agree, keyed by description.
 
-    These are the measured data, the modes and quantities used, and the unit of the errors.
+    These are the measured modes, masses and displacements, the choice of those used in updating, and the unit of
+    the errors. FRFs are not compared.
     """
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())

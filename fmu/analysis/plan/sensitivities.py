@@ -165,8 +165,8 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
 
     A structure of more than 100 DOFs is reduced within the range of the draws, if it can be and there are more
     than three draws. The reduced basis covers all DOFs, so it gives mode shapes at all candidates. The reduced
-    modes are compared with the full model's at the first three draws. Raise ValueError if no draw has all
-    derivatives.
+    modes are compared with the full model's at the first three draws. If their shapes differ too much, the model
+    is reduced again with a smaller tolerance. Raise ValueError if no draw has all derivatives.
     """
     nominal = paired.observed(start[None])
     n = len(theta)

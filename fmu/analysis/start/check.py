@@ -132,7 +132,7 @@ class Check:
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:
-        """Warnings about test points far from the mesh and sensors that disagree, one sentence each."""
+        """Warnings about test points far from the mesh, and sensors that disagree or look swapped."""
         found, placed = self.modes.correlation, () if self.points is None else self.points.doubts
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 

@@ -35,7 +35,11 @@ class MeasuredFRFs:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings about measurements that may have the wrong kind, polarity or position, one sentence each."""
+        """Warnings about measurements, one sentence each.
+
+        They concern FRFs that may have the wrong kind, polarity or position, and standard deviations from few
+        averages.
+        """
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.doubts())
 
     @property
