@@ -113,7 +113,7 @@ class Identifiability:
 
     @property
     def fisher_information(self) -> FloatArray:
-        """Fisher information JᵀΣ⁻¹J in 1/(SI units of the two parameters), shape (ndim, ndim); J = ∂f/∂θ, Σ = LLᵀ."""
+        """Fisher information JᵀΣ⁻¹J in 1/(SI units of the two parameters), (ndim, ndim); J = ∂f/∂θ, Σ = LLᵀ."""
         information: FloatArray = (self.sensitivity.T @ self.sensitivity) / np.outer(self.prior_sd, self.prior_sd)
         return information
 
