@@ -254,7 +254,7 @@ class FRFData:
 
     @cached_property
     def used(self) -> BoolArray:
-        """Mask of the values used, (n_frfs, n_lines): in `use` and `band`, not missing, with any sd above 0."""
+        """Mask of the used values, (n_frfs, n_lines): in `use` and `band`, not missing, sd (if known) above 0."""
         there = self._chosen & np.isfinite(np.asarray(self.values))
         sd = self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))

@@ -300,7 +300,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
-        """Return `observed` with slopes, and the `Sensitivities` with second derivatives (None without them)."""
+        """Return `observed` with derivatives, and the `Sensitivities`, or None if the model does not give them."""
         if not self.model.gives_curvature(self.needs_shapes):
             return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)
@@ -318,7 +318,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         latent: LatentErrors,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood terms, and the derivatives of their sum through each mode."""
+        """Return the terms and derivatives as in `terms_and_gradient`; with a `chain`, by all parameters."""
         of_errors = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         terms, slopes = self._terms_and_gradient(of_errors, theta, chain)
         m, N = len(self._used), slopes.shape[-1] - len(self.noise)

@@ -79,7 +79,7 @@ class ModeErrors:
 
     @property
     def n_own(self) -> int:
-        """Number of errors that belong to one mode only, per mode."""
+        """Number of each mode's own errors."""
         return (self.sd is not None) + (0 if self.shape_sd is None else len(self.root))
 
     @property

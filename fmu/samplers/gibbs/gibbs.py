@@ -276,7 +276,7 @@ class GibbsKernel(MovesWithErrors):
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _propose(self, rng: np.random.Generator, z: FloatArray, normal: Normal) -> tuple[FloatArray, FloatArray]:
-        """Return scores that are proposed for all tests, (chains, n_tests, p), and log q(z | z*)/q(z* | z)."""
+        """Return scores z* proposed for all tests, (chains, n_tests, p), and log q(z | z*)/q(z* | z)."""
         walks = rng.random(z.shape[:2]) < _WALKS
         heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
         size = np.where(walks, _SMALLEST ** rng.random(z.shape[:2]), heavy)
