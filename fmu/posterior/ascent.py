@@ -86,11 +86,12 @@ def ascend(
     tolerance: float = 1e-9,
     max_steps: int = 100,
 ) -> Ascent:
-    """Ascend from every starting point to a local maximum of −V within a box, by the Levenberg–Marquardt method.
+    """Ascend from every starting point to a local maximum of −V within a box.
 
-    Each step minimises the quadratic model, with its diagonal enlarged (damped), within the box. The damping
-    depends on the ratio of actual to predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink,
-    where computed modes swap, the quadratic model is invalid, and the ascent does not end at a stationary point.
+    This is the Levenberg–Marquardt method. Each step minimises the quadratic model, with its diagonal enlarged
+    (damped), within the box. The damping depends on the ratio of actual to predicted decrease (Nocedal & Wright
+    2006, sections 4.1 and 10.3). At a kink, where computed modes swap, the quadratic model is invalid, and the
+    ascent does not end at a stationary point.
 
     Parameters
     ----------

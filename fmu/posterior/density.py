@@ -129,7 +129,7 @@ class Posterior:
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood and the squared residuals of each used mode, computed with the same solves.
+        """Return the log-likelihood and the squared residuals of each used mode. Both come from the same solves.
 
         Parameters
         ----------

@@ -158,7 +158,7 @@ def _starts_with_discrepancy(
 def maxima_from(
     problem: Posterior, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
-    """Return the maxima reached from scaled points (n, ndim), sorted from the highest.
+    """Return the maxima reached from scaled points (n, ndim), the highest first.
 
     For `most_solves` and the error raised see `local_maxima`.
     """
@@ -272,7 +272,7 @@ def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]
 
 
 def _distinct(problem: Posterior, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the distinct maxima with a finite log-probability, sorted from the highest."""
+    """Return the distinct maxima with a finite log-probability, the highest first."""
     return _merge(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
 

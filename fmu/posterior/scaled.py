@@ -17,7 +17,7 @@ FARTHEST = 40.0
 
 
 class ScaledDensity:
-    """A log-density in the coordinates u = (theta − offset)/scale, in which metrics and widths are of order one.
+    """A log-density in the coordinates u = (theta − offset)/scale, which make its width of order one.
 
     By default, coordinates with two finite bounds lie between 0 and 1. Values are densities of theta. The Jacobian
     is omitted, because it is constant for an affine map.
@@ -139,10 +139,10 @@ def scaled_density(density: LogDensity) -> ScaledDensity:
 
 
 class LogarithmicDensity:
-    """The posterior for samplers in coordinates u as in `LogScaledDensity`, including the Jacobian.
+    """The posterior density of u, the coordinates of `LogScaledDensity`, for samplers. It includes the Jacobian.
 
-    All parameters with log-normal priors are logarithms, because the density of θ is skewed, whereas the density
-    of log θ is nearly Gaussian.
+    All parameters with log-normal priors have logarithmic coordinates, because the density of θ is skewed, whereas
+    the density of log θ is nearly Gaussian.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def clip_to_support(scaled: ScaledDensity, problem: Posterior) -> ScaledDensity:
 
 
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
-    """Return the scaled density for ascents, with the logarithms of parameters whose log-normal priors are wide.
+    """Return the scaled density for ascents. Parameters with wide log-normal priors are scaled logarithmically.
 
     At a bound where the density vanishes, such as a standard deviation of 0, theta stays just inside.
     """

@@ -160,7 +160,7 @@ def simulate_next_test(
     like: str | None = None,
     covariates: Mapping[str, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Simulate the frequencies of one further test of the structure, in Hz, without and with measurement errors.
+    """Simulate the frequencies, in Hz, of one further test of the structure, without and with measurement errors.
 
     Parameters
     ----------

@@ -149,7 +149,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def losses_by_test(self, theta: FloatArray) -> FloatArray:
-        """Return the losses in each test of the parameters in `by_date`, at least one, (n, n_tests, n_by_date)."""
+        """Return the losses of the parameters in `by_date` (not empty) in each test, (n, n_tests, n_by_date)."""
         of = [
             value_of.losses(theta, 0)
             for parameter, value_of in zip(self.structural, self.values_of, strict=True)
@@ -251,7 +251,7 @@ class Layout:
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
-        """Draw standardised scores of regular tests, (n, n_tests, n_populations), as if independent in time."""
+        """Draw standardised scores, (n, n_tests, n_populations), without outliers and correlation in time."""
         return self.correlate(theta, rng.standard_normal((len(theta), n_tests, len(self.drawn))))
 
     def correlate(self, theta: FloatArray, z: FloatArray) -> FloatArray:

@@ -51,7 +51,7 @@ class Errors(NamedTuple):
         return {i: one for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)}
 
     def damping_parameters(self) -> list[Parameter]:
-        """Return the inferred damping parameters of all tests, each listed once."""
+        """Return the inferred damping parameters of all tests. Each is listed once."""
         found: list[Parameter] = []
         for one in self.of_frfs.values():
             found += [p for p in inferred_in(one.damping) if p not in found]

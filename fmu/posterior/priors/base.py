@@ -165,7 +165,7 @@ class Normal(Prior):
             return -(x - self.mean) / self.sd**2
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds, log(Φ(b) − Φ(a)), without cancellation in either tail.
+        """Return the log-probability between two bounds, log(Φ(b) − Φ(a)). It is accurate in both tails.
 
         Return ``-inf`` if the bounds are too close together to tell Φ(a) and Φ(b) apart.
         """
@@ -211,7 +211,7 @@ class Normal(Prior):
 
 @dataclass(frozen=True)
 class Uniform(Prior):
-    """The uniform prior, constant between the bounds, which must both be finite."""
+    """The uniform prior: a constant density between the bounds, both of which must be finite."""
 
     needs_bounds: ClassVar[bool] = True
 

@@ -80,7 +80,10 @@ class SpikeAndSlab(InvertedPrior):
         return self.cdf(2.0 * self.mean - np.asarray(x))
 
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the quantiles F⁻¹(p), found by bisection between the quantiles of the spike and of the slab."""
+        """Return the quantiles F⁻¹(p).
+
+        They are found by bisection between the quantiles of the spike and of the slab.
+        """
         ends = ndtri(np.asarray(p, dtype=float)) * np.array([self.spike, self.sd]).reshape(2, *[1] * np.ndim(p))
         low, high = ends.min(axis=0), ends.max(axis=0)
         target = logit(p)

@@ -269,7 +269,7 @@ def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, sc
 def _bend(
     straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
 ) -> ScoresGivenMain:
-    """Return the score density, with parabolic ridges if at least one ridge is noticeably curved."""
+    """Return the score density. Its ridges are parabolas if at least one of them is noticeably curved."""
 
     def gradient(z: FloatArray) -> FloatArray:
         slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]

@@ -1,4 +1,4 @@
-"""Propose dates of sudden losses, with all scores integrated out and all dates considered at once.
+"""Propose dates of sudden losses. All scores are integrated out, and all dates are considered at once.
 
 A test's loss is a share r of its event's losses d. The share is zero before the date and one after it; it is in
 between if the date lies in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, a
@@ -195,7 +195,7 @@ class DateOfEvent:
 
 
 def undated_events(layout: Layout, parameters: Sequence[Parameter], theta: FloatArray) -> tuple[DateOfEvent, ...]:
-    """Return the sudden events at unknown dates, with the losses at theta (ndim,) as their typical losses."""
+    """Return the sudden events at unknown dates. Their typical losses are the losses at theta (ndim,)."""
     events: dict[int, list[tuple[int, SuddenLoss]]] = {}
     for j, value_of in enumerate(layout.values_of):
         if (one := value_of.sudden_loss) is not None:

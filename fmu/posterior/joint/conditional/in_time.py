@@ -94,7 +94,7 @@ def _move(
     x = np.log(value) if of_logarithm else value
 
     def log_target(theta: FloatArray) -> FloatArray:
-        """Return the joint log-density (n,) of the values, μ and s at theta, without the prior of T."""
+        """Return the joint log-density (n,) of the values, μ and s at theta. The prior of T is left out."""
         c, s = theta[:, one.centre], theta[:, width]
         found = np.einsum("nt->n", one.family.log_pdf(value, c[:, None], s[:, None])[0])
         found = found + np.einsum("nt->n", in_time.log_density(theta, theta[:, columns])[0])

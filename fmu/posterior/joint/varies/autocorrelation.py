@@ -165,7 +165,7 @@ class InTime:
         return self.correlations(theta, np.diff(self.times))
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return each score's log-density given the previous one, relative to a standard normal, with derivatives.
+        """Return each score's log-density given the previous score, relative to the standard normal density.
 
         Returns
         -------

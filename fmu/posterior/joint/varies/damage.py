@@ -59,9 +59,9 @@ class Damage(Varies):
         return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
-        """Add the undamaged value and one loss per other group to theta; return the values in the tests.
+        """Add the undamaged value and the groups' losses to theta; return the values in the tests.
 
-        Raise ValueError as `Population.parameters` does.
+        The reference group has no loss. Raise ValueError as `Population.parameters` does.
         """
         groups = [test.group for test in theta.tests]
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, "group", theta.reference)

@@ -164,7 +164,7 @@ class Drawn(InTests):
         return np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
 
     def scores_at(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores, in the present centring, of values (n, n_tests), given the population at theta."""
+        """Return the scores of values (n, n_tests) in the present centring, given the population at theta."""
         return self.family.scores(value, *self._parts(theta)[2])
 
     @cached_property

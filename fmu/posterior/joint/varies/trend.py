@@ -84,7 +84,7 @@ class Trend(Multiplied):
         return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the parameter's values (n,) in a further test, including the effects of its covariates."""
+        """Return the parameter's values (n,) in a further test. They include the effects of its covariates."""
         factor = np.ones(len(theta))
         for effect, covariate in self.effects:
             x = np.full((1, 1), future.covariates.get(covariate.name, covariate.mean))

@@ -75,7 +75,7 @@ def are_bounds_distant(
 def _values_near_bounds(
     z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, Slopes]:
-    """Return the values and derivatives of `truncated_normal_values`, accounting for the bounds."""
+    """Return the values and derivatives of `truncated_normal_values` where the bounds have an influence."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         # computed in the nearer tail, where the probability is not rounded to 1
@@ -152,7 +152,7 @@ def _scores_near_bounds(a: FloatArray, alpha: FloatArray, beta: FloatArray) -> F
 
 
 def _log_mass(alpha: FloatArray, beta: FloatArray) -> FloatArray:
-    """Return the log-probability log(Φ(β) − Φ(α)) between standardised bounds, computed in the nearer tail."""
+    """Return the log-probability log(Φ(β) − Φ(α)) between standardised bounds. It is accurate in both tails."""
     turned = alpha > 0.0
     a, b = np.where(turned, -beta, alpha), np.where(turned, -alpha, beta)
     return np.asarray(log_ndtr(b) + np.log(-np.expm1(np.minimum(log_ndtr(a) - log_ndtr(b), 0.0))))
