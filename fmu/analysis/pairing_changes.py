@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 GROUP = "pairing"
 """Name of the trace group that stores which computed mode was paired with each measured mode."""
 MOST_DRAWS = 2000
-"""Number of draws examined, evenly spaced over the chains; the most probable draw is added."""
+"""Largest number of draws examined, evenly spaced over the chains; the most probable draw is added."""
 _MEANS = {
     "shape": "the log-probability jumps there if the two modes veer, but not if they cross without mixing",
     "index": "the log-probability has a kink there, and the frequency belongs to another shape",

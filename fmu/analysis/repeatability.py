@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARMS = 0.005
-"""Probability of a warning for any mode, if the tests are independent."""
+"""Largest probability of a warning for any mode, if the tests are independent."""
 _MOST_CORRELATED = 0.98
 
 

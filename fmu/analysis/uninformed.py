@@ -13,9 +13,10 @@ from fmu.numbers import names_in_words, share, significant
 from fmu.types import FloatArray
 
 _CONFUSED = 0.5
-"""Component ratio of the least constrained combination from which the data confuse two parameters."""
+"""The data confuse two parameters if the components of their least constrained combination have this ratio or
+more, smaller to larger."""
 LINEARISED_LEFT = 0.95
-"""Fraction of a direction's prior standard deviation that must remain, linearised, for it to be uninformed."""
+"""Fraction of the prior standard deviation that remains along an uninformed direction of a linearised model."""
 _ALIKE = 0.05
 
 

@@ -83,8 +83,8 @@ if TYPE_CHECKING:
 _FEW = 500
 """Number of draws that suffices to find the factor on the residuals at which a check fails."""
 _MOST = 10.0
-"""A model without degrees of freedom is not tested by a check that needs residuals larger by this factor to
-fail."""
+"""A check that fails only for residuals more than this many times as large does not test a model without degrees
+of freedom."""
 NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
 _TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 _SIZES, _VALUES = 12, 7
 """Number of sizes of the discrepancy, from none to the largest, and of values of a parameter with a plateau."""
 _WIDTH = 0.8
-"""Standard deviation of a component along a grid, relative to the distance of neighbours."""
+"""Standard deviation of a component along a grid, relative to the distance between neighbouring values."""
 _COARSE = 2.0
-"""Largest distance of the values of a parameter, in standard deviations of the largest component."""
+"""Largest distance between neighbouring values of a parameter, in standard deviations of the largest component."""
 _MATTERS = 0.01
 """Mass of a component, relative to the largest, above which it is used."""
 _FIXED, _ARRIVED = 1e12, 1e-3

@@ -32,8 +32,8 @@ DISPERSION = 2.0
 
 Overdispersed chains must contract to the posterior before they agree, so that R-hat reveals chains that have not
 (Gelman & Rubin 1992, Statistical Science 7, 457-472, section 2.1). Twice the width is also used by the importance
-sampling, and is far less than the distance to another maximum. It cannot reveal a maximum that the search did not
-find; nor can starting points from the prior, unless one of them falls into its basin."""
+sampling, and is far less than the distance to another maximum. Overdispersion cannot reveal a maximum that
+the search did not find; nor can starting points from the prior, unless one of them falls into its basin."""
 _HALVINGS = 30
 _SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
