@@ -1,4 +1,4 @@
-"""Engines, which run tasks in this process, in other processes or on a Dask cluster, with equal results.
+"""Engines run tasks in this process, in other processes or on a Dask cluster, and give the same results.
 
 Read `base` (the interface) first, then `remote` (the code shared by the two engines with worker processes).
 """

@@ -148,4 +148,4 @@ def _upper_sd(values: FloatArray) -> float:
 def _factor(n: int, kurtosis: float) -> float:
     """Return the upper 95 % limit on a standard deviation, divided by the sample value from n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
-    return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square
+    return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # chi-square quantile

@@ -44,7 +44,7 @@ class Sketch:
         Far end of an arm or a spring, m; direction of a sensor. NaN for supports, masses, springs to the ground
         and sensors of rotations.
     owners : ndarray of int, shape (n_symbols,)
-        Index of the first parameter that changes a spring's stiffness; −1 for all other symbols.
+        Index of the first parameter that changes a spring's stiffness; −1 for all other springs and symbols.
     """
 
     nodes: FloatArray

@@ -46,7 +46,8 @@ class FreeMotions:
         Strain-free rigid-body motions of the whole structure: translation, m, and rotation, rad, about the centre
         of the nodes. None if they are unknown; see `rigid_motions`.
     negative : ndarray, shape (n_dof, n_negative)
-        Motions with negative strain energy, which no real structure has. Of a large block, only one is given.
+        Motions with negative strain energy, which no real structure has. Of a large block with such motions, one
+        is given here, and none in `shapes`.
     """
 
     shapes: FloatArray
@@ -83,7 +84,8 @@ def _lowest_motions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the motions with zero and with negative energy xᵀ A x of a symmetric matrix A, each (n_dof, n).
 
-    If A is K at `theta` (n_parameters,), the factorisations of large blocks are stored for the first solve.
+    Of a large block with negative energy, only one motion is returned. If A is K at `theta` (n_parameters,), the
+    factorisations of large blocks are stored for the first solve.
     """
     zero, negative = ([np.zeros((model.n_dof, 0))] for _ in range(2))
     for dofs in model.blocks:

@@ -122,7 +122,7 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
         stiffness, mass = (_matrix(ops, what, n, factors) for what, factors in _WHAT.items())
         step = 2.0 * float(
             np.sqrt(mass.diagonal().max() / stiffness.diagonal().max())
-        )  # K and 4 M/Δt² of like size
+        )  # K and 4 M/Δt² are of similar size
         motions, notes = follower_motions(ops, directions, frozenset(dofs.values()), step)
         elements = {tag: tuple(ops.eleNodes(tag)) for tag in ops.getEleTags() or []}
     if len(dofs) < n:

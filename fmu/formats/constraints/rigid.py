@@ -144,7 +144,7 @@ def mean_motion(
     turns = np.concatenate([np.array(which) > 3 for _, which, _ in followed])
     if by_length and mean > 0.0:
         weight = np.where(turns, weight * mean**2, weight)
-    scale = _length(points, reference)  # of x, so that metres and radians compare
+    scale = _length(points, reference)  # makes metres and radians in x comparable
     root = np.sqrt(weight)[:, None]
     U, size, Vt = np.linalg.svd(root * H * scale, full_matrices=False)
     rank = int(np.sum(size > RANK * size[0]))

@@ -34,7 +34,7 @@ class Mesh(NamedTuple):
     kinds : tuple of str
         meshio's name for each element's kind: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
     notes : tuple of str
-        One sentence for each omission.
+        One sentence for each omission or assumption.
     axes : mapping of int to ndarray, shape (3, 3)
         Unit vectors (rows) along a node's degrees of freedom, if these are not along global axes.
     sets : mapping of str to tuple of (node, direction)

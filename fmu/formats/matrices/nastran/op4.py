@@ -112,7 +112,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
             if len(found) > MOST_NAMES:
                 raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
         entries = found[choose_variable(list(found), variable)]
-    if entries is None:  # the only matrix; it had no name to look for, so that its entries were not read
+    if entries is None:  # the only matrix: its entries were not read, as no name was given
         return _read(path, next(iter(found)))
     if entries.header.type not in REAL:
         raise RefusedError(f"must hold a real matrix ({entries.header.name} is complex)")
