@@ -71,9 +71,10 @@ class ReductionCertificate(Certificate):
     ----------
     log_prob_error : float
         Largest log-probability error at the solved draws whose likelihood is within the tolerance's depth of the
-        highest. At lower likelihoods, where a chain may have started, the error is not bounded.
+        highest; 0 if the likelihood has no modes. At lower likelihoods, where a chain may have started, the error
+        is not bounded.
     pairing_changes : int
-        Number of draws at which the true model pairs a measured mode with a different computed mode.
+        Number of solved draws at which the true model pairs a measured mode with a different computed mode.
     full_solves : int
         Number of solves of the true model during the run, because theta lay outside the trained box or the reduced
         solve failed.
@@ -85,7 +86,8 @@ class ReductionCertificate(Certificate):
         Largest bound on a relative frequency error at these draws, and the median over the draws of each draw's
         largest bound.
     bound_exceeded : int or None
-        Number of solved draws at which an error exceeds its bound.
+        Number of solved draws at which an error exceeds its bound by more than rounding. Draws at which the
+        pairing changes do not count.
     full_share : float or None
         Share of the draws that lie outside the trained box, where the true model is solved.
     frequency_elsewhere : float or None

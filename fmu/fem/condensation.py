@@ -55,9 +55,9 @@ class Reduction:
 def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     """Condense K and M statically onto master degrees of freedom (Guyan 1965).
 
-    All other degrees of freedom, the slaves, are in static equilibrium, so the basis is T = [I; −K_ss⁻¹ K_sm]. The
-    reduction is exact at zero frequency. Its error grows with ω²/λ_1, where λ_1 is the lowest eigenvalue of the
-    structure with its masters fixed.
+    All other degrees of freedom, the slaves, are in static equilibrium, so the basis is T = [I; −K_ss⁻¹ K_sm],
+    where m are the masters and s the slaves. The reduction is exact at zero frequency. Its error grows with
+    ω²/λ_1, where λ_1 is the lowest eigenvalue of the structure with its masters fixed.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     Raises
     ------
     ValueError
-        If the matrices are not square or not of the same size, there is no master, a master does not exist or is
-        given twice, or the structure can still move with all masters fixed.
+        If the matrices are not square or not of the same size, there is no master, a master is not a whole number,
+        does not exist or is given twice, or the structure can still move with all masters fixed.
     """
     K, M = _matrices(K, M)
     masters = _index("masters", masters, K.shape[0])

@@ -34,7 +34,7 @@ class Term:
     Raises
     ------
     ValueError
-        If `matrix` is not a real matrix.
+        If `matrix` is not a real matrix, or a power is not a finite number.
     """
 
     matrix: Any
@@ -85,7 +85,8 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
     """Return the monomial Π theta[:, j] ** powers[j], shape (n,): NaN where undefined, infinite on overflow.
 
-    Powers are computed by multiplication or one by one, so that a result does not depend on the rest of the batch.
+    Each power is a repeated product or is computed for one theta at a time, so that a result does not depend on
+    the rest of the batch.
     """
     value = np.ones(len(theta))
     with np.errstate(over="ignore", invalid="ignore"):

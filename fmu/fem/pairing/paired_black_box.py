@@ -75,7 +75,7 @@ class PairedBlackBox(ModalModel):
 
     @classmethod
     def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
-        """Return the paired model of a function, which is called once, at `start` (n_parameters,).
+        """Return the paired model of a function, after a call at `start` (n_parameters,); see `BlackBoxModel.at`.
 
         The other arguments are the class's parameters.
 
@@ -83,7 +83,8 @@ class PairedBlackBox(ModalModel):
         ------
         ValueError
             If the pairing is unknown or, at the starting point, the function fails, gives too few modes or invalid
-            frequencies, or gives shapes that do not fit the sensors although modes are paired by MAC.
+            frequencies, does not reproduce a stored result, or gives shapes that are not finite or do not fit the
+            sensors although modes are paired by MAC.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")

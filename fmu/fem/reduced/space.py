@@ -38,7 +38,7 @@ class Space:
         The trial vectors.
     K, M : sequence of ndarray, each of shape (n_terms, q, width)
         The lower triangles of the projected terms, in strips of q rows; `width` is the number of rows up to the
-        end of the strip. The space can thus be enlarged or truncated without copying the existing strips.
+        end of the strip. The space can thus be enlarged without copying the existing strips.
     """
 
     def __init__(

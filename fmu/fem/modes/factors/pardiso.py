@@ -45,8 +45,8 @@ def n_threads() -> int:
     """Return the number of threads that PARDISO uses to factorise, from 1 to 8.
 
     The number is taken from the environment variable ``MKL_NUM_THREADS`` or, if that is not set, from
-    ``OMP_NUM_THREADS``. fmu's engines and Dask set both to 1 in their workers. If neither is set, or the value is
-    not a whole number, it is the number of processors that this process may use.
+    ``OMP_NUM_THREADS``. The workers of fmu's engines set both to 1 unless they are set. If neither is set, or the
+    value is not a whole number, it is the number of processors that this process may use.
     """
     given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
