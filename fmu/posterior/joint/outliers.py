@@ -196,7 +196,7 @@ class ContaminatedScores:
         return np.asarray(inverse / (scales[..., :, None] * scales[..., None, :]))
 
     def weights(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the expected value of 1/D², shape (n, n_tests, p), where D is the scale of each score in z.
+        """Return the expected value of 1/D² given the scores z, shape (n, n_tests, p), where D is a score's scale.
 
         It is 1 if the test is certainly regular, and smaller if it may be an outlier.
         """

@@ -207,9 +207,9 @@ def _trained_at_draws(
     """Return a reduced model trained at draws from the prior and the posterior, and its training state.
 
     Return None if, at fresh points from the posterior, log-probability errors are too large for `LOOSEST_LOG_PROB`
-    or frequency errors for `LOOSEST_FREQUENCY`, or if K is singular at a draw. Raise NoModesError if no draw from
-    the prior can be solved. `trained` (2, n_parameters) is the box, and `frequency` is the requested relative
-    error.
+    or frequency errors for `LOOSEST_FREQUENCY`, or if a displacement has neither stiffness nor mass at a draw.
+    Raise NoModesError if no draw from the prior can be solved. `trained` (2, n_parameters) is the box, and
+    `frequency` is the requested relative error.
     """
     n, rng = structure.n_parameters, np.random.default_rng(0)
     depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # contains all but this share of a Gaussian posterior
@@ -224,7 +224,7 @@ def _trained_at_draws(
         points = rng.permutation(points)
         at = np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])])
         model, state = train_at(structure, at, *trained)
-    except SingularAnchorError:  # the stiffness is singular at a draw
+    except SingularAnchorError:  # a displacement has neither stiffness nor mass at a draw
         return None
     points = points[_SNAPSHOTS:][:_CHECKED]
     wrong = ~(np.abs(_log_prob_errors(problem, model, points)) <= _TUNED * LOOSEST_LOG_PROB)

@@ -343,7 +343,7 @@ class ScoresGivenMain:
     def log_evidence(self, linear: Linear) -> FloatArray:
         """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.
 
-        A term that depends only on the scales is left out.
+        Constants, and a term that depends only on the scales, are left out.
         """
         found, copula = linear.largest - linear.log_det_factor, self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)

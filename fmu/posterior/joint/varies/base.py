@@ -86,7 +86,7 @@ class Factor(NamedTuple):
 
     Attributes
     ----------
-    values : ndarray, shape (n, n_tests) or (1, n_tests)
+    values : ndarray, shape (n, n_tests)
         The factor in each test.
     slopes : list of Slope
         Derivatives of the factor with respect to parameters of theta.
