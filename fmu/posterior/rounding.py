@@ -170,7 +170,7 @@ def _without_density(problem: Posterior) -> str:
 
 
 def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:
-    """Raise ValueError if an apparent rigid-body mode strains a stiffness term, or if K is negative for some motion.
+    """Raise ValueError if an apparent rigid-body mode strains a stiffness term, or K is negative for some motion.
 
     A mode whose λ is tiny relative to `top` is treated as a rigid-body mode, and pairing ignores it. This is wrong
     if a term of K has strain energy in the mode: then rounding of the sum has removed most of the term.

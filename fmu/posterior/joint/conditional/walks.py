@@ -1,8 +1,9 @@
 """Random-walk steps for populations, given the parameter values in the tests.
 
 Given the values, the likelihood has no further information on the populations, so these steps need no solve of the
-model. Unlike the candidates of `fmu.posterior.joint.conditional.given_values`, they suit all populations: near the
-bounds, with one standard deviation per group, with any correlation, and with outlying tests.
+model. Unlike the candidates of `fmu.posterior.joint.conditional.given_values`, they suit all populations whose
+values are independent in time: near the bounds, with one standard deviation per group, with any correlation, and
+with outlying tests.
 
 Three groups of parameters are moved in turn by Metropolis steps: the centres, the logarithms of the standard
 deviations, and the inverse hyperbolic tangents of the partial correlations. With n precise values, their posterior
