@@ -14,8 +14,6 @@ from fmu.samplers.settings import one_of, positive_number, whole_number
 from fmu.types import FloatArray, LogDensity
 
 if TYPE_CHECKING:
-    from emcee import EnsembleSampler
-    from emcee import State as EnsembleState
     from emcee.moves.move import Move
 
 Moves = str | Mapping[str, float] | Iterable[str | tuple[str, float]]
@@ -92,11 +90,8 @@ class Ensemble(Sampler):
             raise ValueError(
                 f"walkers: must be at least {2 * density.ndim}, twice the coordinates (got {self.walkers})"
             )
-        import emcee
-
-        target, moves = _Tally(density), self.weighted_moves(density.ndim)
-        sampler = emcee.EnsembleSampler(self.walkers, density.ndim, target, moves=moves, vectorize=True)
-        return EnsembleKernel(target, sampler, np.random.RandomState(0))
+        moves, weights = zip(*self.weighted_moves(density.ndim), strict=True)
+        return EnsembleKernel(_Tally(density), moves, np.array(weights) / sum(weights), np.random.RandomState(0))
 
     def weighted_moves(self, ndim: int) -> list[tuple[Move, float]]:
         """Return emcee's moves for `ndim` coordinates, with their weights.
@@ -123,7 +118,8 @@ class EnsembleKernel:
     """
 
     target: _Tally
-    sampler: EnsembleSampler
+    moves: tuple[Move, ...]
+    weights: FloatArray
     generator: np.random.RandomState
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
@@ -146,24 +142,30 @@ class EnsembleKernel:
         assigned to the first walkers.
         """
         n_solves, n_nonfinite = (np.zeros(state.log_prob.shape, dtype=np.int64) for _ in range(2))
-        position, log_prob = np.empty_like(state.position), np.empty_like(state.log_prob)
+        position, log_prob = state.position.copy(), state.log_prob.copy()
         for chain in range(len(position)):
             self.target.reset()
-            end = self._advance(rng, state.position[chain], state.log_prob[chain])
-            position[chain], log_prob[chain] = end.coords, end.log_prob
+            position[chain], log_prob[chain] = self._advance(rng, position[chain], log_prob[chain])
             n_solves[chain, : self.target.n_solves] = 1
             n_nonfinite[chain, : self.target.n_nonfinite] = 1
         accepted, extra = np.any(position != state.position, axis=-1), {"n_nonfinite": n_nonfinite}
         return State(position, log_prob), Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
 
-    def _advance(self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray) -> EnsembleState:
-        """Move one ensemble by one emcee step and return emcee's state."""
-        import emcee
+    def _advance(
+        self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the walkers and their log-densities after a step as emcee's EnsembleSampler takes it.
+
+        emcee overwrites the arguments.
+        """
+        from emcee import State as EnsembleState
+        from emcee.model import Model
 
         self.generator.seed(rng.integers(2**32, size=8, dtype=np.uint32))
-        self.sampler.random_state = self.generator.get_state()
-        start = emcee.State(position, log_prob=log_prob, copy=True)
-        return next(self.sampler.sample(start, iterations=1, store=False, skip_initial_state_check=True))
+        move = self.moves[self.generator.choice(len(self.moves), p=self.weights)]
+        model = Model(self.target, lambda walkers: (self.target(walkers), None), map, self.generator)
+        end = move.propose(model, EnsembleState(position, log_prob))[0]
+        return end.coords, end.log_prob
 
 
 class _Tally(Target):

@@ -1,3 +1,4 @@
+import emcee
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ def test_moves_may_be_given_in_several_ways(moves, pairs):
 def test_the_default_is_a_kernel_density_where_the_walkers_suffice_for_one():
     target = CorrelatedGaussian()  # five coordinates
     named = [
-        [type(move).__name__ for move in Ensemble(walkers).bind(target).sampler._moves]
+        [type(move).__name__ for move in Ensemble(walkers).bind(target).moves]
         for walkers in (4 * target.ndim, 4 * target.ndim - 1)
     ]
     assert named == [["DEMove", "KDEMove"], ["DEMove"]]
@@ -39,6 +40,28 @@ def test_a_mixture_draws_its_moves_by_weight():
         kinds[name] = result.posterior.stats["accepted"].mean()
     assert kinds["de"] < kinds["mixed"] - 0.03
     assert kinds["mixed"] < kinds["stretch"] - 0.03
+
+
+@pytest.mark.parametrize("moves", [{"de": 0.5, "kde": 0.3, "stretch": 0.2}, "snooker"])
+def test_a_step_is_that_of_emcee_to_the_last_bit(moves):
+    target = CorrelatedGaussian()
+    settings, rng, of_emcee = Ensemble(moves=moves), np.random.default_rng(4), np.random.default_rng(4)
+    kernel = settings.bind(target)
+    state = kernel.init(target.sample_prior(np.random.default_rng(1), 64).reshape(2, 32, -1))[0]
+    sampler = emcee.EnsembleSampler(
+        32, target.ndim, target.log_prob, moves=settings.weighted_moves(target.ndim), vectorize=True
+    )
+    for _ in range(10):
+        before, (state, info) = state, kernel.step(rng, state)
+        for position, log_prob, coords, at in zip(
+            before.position, before.log_prob, state.position, state.log_prob, strict=True
+        ):
+            words = of_emcee.integers(2**32, size=8, dtype=np.uint32)
+            sampler.random_state = np.random.RandomState(words).get_state()
+            end = next(sampler.sample(emcee.State(position, log_prob), iterations=1, store=False))
+            np.testing.assert_array_equal(coords, end.coords)
+            np.testing.assert_array_equal(at, end.log_prob)
+    assert info.accepted.any()
 
 
 def test_every_ensemble_has_its_own_stream():
