@@ -144,7 +144,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
     Raises
     ------
     StalledError
-        If a column has not converged after 100 steps, or A or F is not positive definite.
+        If a column has not converged after 100 steps, or A or the preconditioner F is not positive definite.
     """
     x, r = np.zeros_like(loads), np.array(loads, dtype=float)
     z = _solve_scaled(solve, r)

@@ -34,7 +34,7 @@ from fmu.types import FloatArray
 REPEATED = 1e-9
 """Eigenvalues whose difference is less than this share of the larger count as repeated."""
 CLOSE = 1e-7
-"""The same share for second derivatives of eigenvalues."""
+"""The same as `REPEATED`, for second derivatives of eigenvalues."""
 
 
 def by_all_modes(

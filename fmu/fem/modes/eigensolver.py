@@ -37,7 +37,7 @@ from fmu.types import BoolArray, FloatArray
 # Up to this size LAPACK on dense matrices is faster than a sparse factorisation with Lanczos iterations.
 DENSE_LIMIT = 400
 # A smaller eigenvalue of a matrix scaled to a unit diagonal cannot be distinguished from zero. Rounding in
-# assembled beams stays below 1e-15; a cantilever of 1000 elements has 5e-13.
+# assembled beams stays below 1e-15; the lowest eigenvalue of a cantilever of 1000 elements is 5e-13.
 ZERO = 2e-14
 # An eigenvalue of a matrix scaled to a unit diagonal that is further below zero than this is not rounding, even if
 # the matrix was exported with ten digits.
@@ -382,7 +382,7 @@ def _is_definite(S: Matrix) -> bool:
     """Return True if all eigenvalues of a matrix with unit diagonal exceed 1e-6."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
-        # consistent mass matrices have eigenvalues of at least 1e-3; a smaller one calls for all the lowest
+        # consistent mass matrices have eigenvalues of at least 1e-3; otherwise the lowest ones are computed
         return factorise(S - 1e-6 * unit).negative == 0
     except np.linalg.LinAlgError:
         return False

@@ -332,7 +332,7 @@ class FullBlock(Block):
             for k in range(dK_phi.shape[2]):
                 one = dK_phi[i, :, k], dM_phi[i, :, k]
                 if not (np.any(one[0]) or np.any(one[1])):
-                    slopes[i, :, k] = 0.0  # not a direction: no factorisation
+                    slopes[i, :, k] = 0.0  # a zero direction needs no factorisation
                     continue
                 gap = np.abs(lam[i] - lam[i, k])
                 close = gap <= CLOSE * np.maximum(np.abs(lam[i]), np.abs(lam[i, k]))

@@ -30,7 +30,7 @@ def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
-        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, not inside elements
+        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # not inside elements
     return (names == direction).astype(float)
 
 
@@ -155,7 +155,7 @@ class StaticDisplacement:
         The basis is orthonormal in the scaled unknowns. Directions that are linearly dependent up to rounding are
         left out.
         """
-        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # for rotations and metres
+        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # scales the unknowns
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
         V = U[:, s > _DEPENDENT * s[0]] / weight[:, None]

@@ -101,7 +101,7 @@ class ModalModel:
     certificate: Certificate | None = None
     """Errors that are known before a run, if the model is an approximation."""
     sizes: tuple[int, ...] = ()
-    """Number of unknowns of each block of a reduced model; empty if the model is not reduced."""
+    """Number of unknowns of each reduced block; empty if the model is not reduced."""
 
     @property
     def truth(self) -> ModalModel:

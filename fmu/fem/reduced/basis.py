@@ -162,7 +162,10 @@ class ReducedBlock(Block):
         return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
 
     def pull_back_terms(self, theta: FloatArray, by_terms: FloatArray) -> FloatArray:
-        """Convert derivatives with respect to K's coefficients, (n, n_terms), to (n, n_parameters) for theta."""
+        """Convert derivatives with respect to K's coefficients to derivatives with respect to theta.
+
+        `by_terms` has shape (n, n_terms), and the result (n, n_parameters).
+        """
         return self._K_map.contract(theta, by_terms[..., None])[:, 0]
 
     def pull_back(self, theta: FloatArray, by_K: FloatArray, by_M: FloatArray) -> FloatArray:

@@ -27,8 +27,8 @@ _ITERATIONS, _AN_ITERATION = 40, 1.2e-4
 # Cost of a reduced solve, of its terms, and of its eigenproblem: with a regular or possibly singular mass matrix.
 _A_REDUCED_SOLVE, _A_TERM, _STANDARD, _SINGULAR = 1e-4, 1e-9, 2.5e-10, 6e-10
 _PAYS = 3.0
-# Factors at a time, of an anchor and of a count of eigenvalues, and vectors that training found in frames, solids
-# and shells.
+# Number of factors that exist at a time (of an anchor point and of a count of eigenvalues), and number of vectors
+# to which training led in frames, solids and shells.
 _FACTORS, _VECTORS = 2, 80
 
 

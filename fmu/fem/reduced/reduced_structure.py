@@ -337,7 +337,7 @@ def train(
     if training.prefers_full():
         size = sum(of.size for of in training.reduced.values())
         return truth.kept_full(size), {"full": np.array(float(size))}
-    if truth.solver == LAPACK:  # anchors of small blocks are soon made again, as for a model from the cache
+    if truth.solver == LAPACK:  # small blocks' anchors are recomputed quickly, as for a cached model
         model = ReducedStructure(truth, replace(training.current(), anchors={}))
     return model, training.state()
 

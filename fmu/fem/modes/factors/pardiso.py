@@ -36,7 +36,7 @@ _SHARE = 1.0 / 6.0
 _COUNT, _IN_FILES = -1, 2
 _PATH, _CORE = "MKL_PARDISO_OOC_PATH", "MKL_PARDISO_OOC_MAX_CORE_SIZE"
 _USERS_FOLDER = os.environ.get(_PATH)
-_PACKAGE = (f"{Path(__file__).parents[3]}{os.sep}",)  # a warning points at the line outside it
+_PACKAGE = (f"{Path(__file__).parents[3]}{os.sep}",)  # a warning names the caller's line
 # Errors of PARDISO: without memory, and with files that cannot be opened, read or written.
 _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 
@@ -149,8 +149,8 @@ class Pardiso:
     def _analyse(self, of: int, where: int = 0) -> None:
         self._solver = _pardiso()(mtype=of)
         weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
-        # METIS, unmodified pivots, as PARDISO's own settings would change pivots below 1e-8 of the largest entry,
-        # and a count of the entries
+        # METIS, a count of the entries, and unmodified pivots: PARDISO's default would change pivots below 1e-8 of
+        # the largest entry
         parameters = {1: 1, 2: 2, 10: _TINY, 18: _COUNT, 28: self.is_single, 34: _MOST_THREADS, 60: where}
         for i, value in parameters.items():
             self._solver.iparm[i - 1] = value

@@ -20,10 +20,10 @@ from fmu.fem.modes.factors.memory import LARGE, require_memory
 from fmu.types import FloatArray, IntArray
 
 _OPTIONS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-# Bytes for an entry of L and of U, including the copy that tells the signs of the pivots: 19.6 to 21.9 were
-# measured with solids and frames.
+# Bytes for an entry of L and of U, including the copy from which the signs of the pivots are read: 19.6 to 21.9
+# were measured with solids and frames.
 _AN_ENTRY = 22
-_counted: dict[str, int] = {}  # by the digest of a pattern: a model's matrices have one at every theta
+_counted: dict[str, int] = {}  # keyed by a hash of the pattern, which a model's matrices share at every theta
 
 
 class SuperLU:
@@ -71,7 +71,7 @@ def _count(matrix: sp.csc_array) -> int:
     n = matrix.shape[0]
     rows, columns = matrix.indices, np.repeat(np.arange(n), np.diff(matrix.indptr))
     unit = sp.csc_array((np.where(rows == columns, 1.0, 0.0), rows, matrix.indptr), shape=matrix.shape)
-    place = ssl.spilu(unit, drop_tol=1.0, fill_factor=1.0, **_OPTIONS).perm_c  # of each row in the elimination
+    place = ssl.spilu(unit, drop_tol=1.0, fill_factor=1.0, **_OPTIONS).perm_c  # each row's position
     node = _nodes(rows, columns, place)
     size = np.bincount(node)
     below = node[rows] > node[columns]
