@@ -92,7 +92,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and 90 % interval ends of the
           measurement predicted from the other modes, noise included, Hz;
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
-        - ``freedom``: degrees of freedom of the measurement error's Student distribution; infinite for a Gaussian;
+        - ``freedom``: degrees of freedom of the error of a mean of repeated tests; infinite for other errors;
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz; NaN if not computed;
         - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;

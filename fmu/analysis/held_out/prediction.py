@@ -70,9 +70,10 @@ class Draws:
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
         """Return the predictive distribution of mode `k`'s measured frequency from importance-weighted draws.
 
-        It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These are Gaussian, or
-        Student's if the measurement is the mean of tests whose scatter gives its error. Draws at which a solve
-        failed are left out. The prediction is NaN if the problem has no error model for frequencies.
+        It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These are Gaussian. They
+        are Student's for Student's errors, and if the measurement is the mean of tests whose scatter gives its
+        error. Draws at which a solve failed are left out. The prediction is NaN if the problem has no error model
+        for frequencies.
         """
         from scipy.optimize import brentq
 

@@ -125,7 +125,7 @@ def find_candidates(
 
 
 def _places(structure: SeparableModel) -> set[Any]:
-    """Return the places of a structure that may have no free degree of freedom, as fixed ones.
+    """Return the places of a structure, such as supports, that may have no free degree of freedom.
 
     These are the drawn points, the ends of rigid arms, and the places with constrained motion.
     """

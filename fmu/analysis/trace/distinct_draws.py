@@ -35,7 +35,8 @@ class DistinctDraws:
     Attributes
     ----------
     theta : ndarray, shape (n, ndim)
-        The first draw of each chain (or walker of an ensemble), and draws that differ from its previous draw.
+        The first draw of each chain (or walker of an ensemble), and each later one that differs from the draw
+        before.
     inverse : ndarray of int, shape (chains, draws)
         Row of `theta` for each draw.
     """

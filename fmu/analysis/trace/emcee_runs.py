@@ -92,9 +92,9 @@ class StoredEnsemble:
 
 
 def check_alike(ensembles: list[StoredEnsemble]) -> None:
-    """Raise ValueError unless all ensembles have as many walkers and parameters, the same names, and like blobs.
+    """Raise ValueError unless the ensembles agree in numbers of walkers and parameters, in names and in blobs.
 
-    Blobs are alike if they have the same type and shape.
+    Blobs agree if they have the same type and shape.
     """
     first = ensembles[0]
     for k, ensemble in enumerate(ensembles):
