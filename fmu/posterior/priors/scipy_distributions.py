@@ -118,7 +118,7 @@ class ScaledBeta(InvertedPrior):
         return self.low, self.high
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x; ``-inf`` outside [low, high] and where it is infinite."""
+        """Return the normalised log-density at each x; ``-inf`` outside [low, high] or where p(x) is infinite."""
         t, s = self._parts(x)
         with np.errstate(all="ignore"):
             value = xlogy(self.a - 1.0, t) + xlogy(self.b - 1.0, s) + self._constant
@@ -212,7 +212,7 @@ class ScipyPrior(InvertedPrior):
         return float(low), float(high)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x; ``-inf`` outside the support and where it is infinite."""
+        """Return the normalised log-density at each x; ``-inf`` outside the support or where p(x) is infinite."""
         with np.errstate(all="ignore"):
             value = self.distribution.logpdf(x)
         return np.where(value < np.inf, value, -np.inf)

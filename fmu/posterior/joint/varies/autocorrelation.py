@@ -28,7 +28,7 @@ from fmu.posterior.priors.one_sided import LogNormal
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _SHORT = 3.0
-"""Ratio of the median time between tests to the 5 % quantile of the default prior: a correlation of 0.05."""
+"""Median time between tests, divided by the 5 % quantile of the default prior. There the correlation is 0.05."""
 _LEAST = 1e-3
 """Smallest T, relative to the shortest time between tests: the correlation is exp(−1000)."""
 _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
