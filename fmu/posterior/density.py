@@ -31,7 +31,7 @@ class Posterior:
 
     The layout maps theta to the structural parameters in every test, the model maps these to the modes, and the
     likelihood compares the modes with the data. Methods whose `theta` is ``ArrayLike`` raise ValueError if it has
-    the wrong shape. The subclass `fmu.posterior.problem.UpdatingProblem` sets and describes the attributes.
+    the wrong shape. The attributes are set by the subclass `fmu.posterior.problem.UpdatingProblem`.
     """
 
     name: str
