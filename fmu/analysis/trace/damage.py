@@ -140,7 +140,7 @@ def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row for each state and parameter, as in `damage`. The columns are ``before`` and ``after``.
+        One row for each state and parameter. The columns are ``before`` and ``after``.
     """
     import pandas
 
