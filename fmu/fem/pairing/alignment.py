@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from fmu.types import FloatArray, IntArray
 
 _FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
-"""Most steps from a starting alignment, most steps from a best alignment, and number of best alignments kept."""
+"""Largest numbers of steps from a starting and from a best alignment, and number of best alignments kept."""
 _FEW, _ROUNDS = 8, 10
 """Number of alignments whose neighbours are tried, and the largest number of rounds."""
 _OTHERS = 600

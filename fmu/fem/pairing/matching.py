@@ -301,8 +301,8 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
 def _of_distances(found: Matching, second: FloatArray) -> list[str]:
     """Return warnings about points that are far from their nodes, or almost as close to another node.
 
-    `second` is the distance of each point from its second-nearest node, in m. From the sixth warning on, only the
-    number of points is given.
+    `second` is the distance of each point from its second-nearest node, in m. After five warnings, the others are
+    only counted.
     """
     far = found.distances / found.spacing
     doubts = [
@@ -341,7 +341,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return a phrase saying that mirrored points would fit, or an empty string unless they fit much better."""
+    """Return a phrase saying that mirrored points would fit much better; an empty string if they would not."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

@@ -319,7 +319,8 @@ class GivenModel(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the user's frequencies in Hz, (n, n_modes), and gradients, (n, n_modes, n_parameters).
 
-        Raise ValueError if the user's method raises an exception or does not return two arrays of these shapes.
+        Raise ValueError if the user's method raises an exception or does not return a tuple of two arrays of these
+        shapes.
         """
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
         given = self._call(method, theta)

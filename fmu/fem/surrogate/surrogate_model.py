@@ -19,7 +19,7 @@ from fmu.fem.surrogate.process import Process
 from fmu.types import BoolArray, FloatArray
 
 _GROWN = 1.15
-"""Growth factor of the design after which hyper-parameters are searched for again."""
+"""Factor by which the number of successful solves must grow before hyper-parameters are searched for again."""
 
 
 @dataclass(frozen=True, eq=False)
