@@ -3,9 +3,12 @@
 Let F be the product of the factors. It differs from A by rounding, which matters only for the lowest eigenvalues
 of A: all other eigenvalues of F⁻¹ A are nearly 1. If A is positive definite, F is the preconditioner for conjugate
 gradients, in a form that allows for the rounding of F⁻¹ (Golub & Ye 1999, *SIAM J. Sci. Comput.* 21, 1305–1320,
-algorithm 2.1), and a few steps are enough. If A is indefinite, F is used for iterative refinement, x ← x + F⁻¹ (b
-− A x), whose error is multiplied by I − F⁻¹ A in each step (Higham 2002, *Accuracy and Stability of Numerical
-Algorithms*, chapter 12).
+algorithm 2.1), and a few steps are enough. If A is indefinite, F is used for iterative refinement,
+
+    x ← x + F⁻¹ (b − A x),
+
+whose error is multiplied by I − F⁻¹ A in each step (Higham 2002, *Accuracy and Stability of Numerical Algorithms*,
+chapter 12).
 
 If the spectral radius of I − F⁻¹ A is below 1, F and A have equally many negative eigenvalues: with A = F + E, no
 F + t E with t in [0, 1] is singular. The radius is estimated by power iteration from a random vector. The number

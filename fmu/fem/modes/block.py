@@ -114,8 +114,8 @@ class Block:
         Returns
         -------
         ndarray, shape (n, m, n_parameters)
-            H_i d_i, where H_i is the matrix of second derivatives of λ_i, without the rotation of mode i into
-            modes whose eigenvalues are nearly equal to λ_i (`fmu.fem.modes.derivatives.CLOSE`).
+            H_i d_i, where H_i is the matrix of second derivatives of λ_i. Rotations of mode i into modes with
+            nearly the same eigenvalue are omitted as in `_shape_slopes_along`.
         """
         own, value = phi[:, :, : d.shape[1]], lam[:, : d.shape[1], None]
         dK_phi, dM_phi = (

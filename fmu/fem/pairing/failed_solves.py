@@ -1,4 +1,4 @@
-"""Explain, in terms of structural dynamics, why a model gave no frequencies at a parameter vector.
+"""Reasons, in terms of structural dynamics, why a model gave no frequencies at a parameter vector.
 
 To save time, solvers return NaN on failure without a reason. Here a structure is solved again at a failed theta to
 find the reason.

@@ -58,7 +58,8 @@ class _Start(NamedTuple):
 class ConfirmedBlock(FullBlock):
     """A large block whose modes are computed by iterations that start from the modes of its reduced model.
 
-    Modes that do not converge are computed as in `FullBlock`. So are all modes once one was found to be missing.
+    Modes that do not converge are computed as in `FullBlock`. So are all modes once one was found to be missing or
+    the modes could not be counted.
 
     Parameters
     ----------
@@ -91,7 +92,8 @@ class ConfirmedBlock(FullBlock):
     def _from_ritz(self, theta: FloatArray, count: int) -> dict[int, tuple[FloatArray, FloatArray]]:
         """Return the modes found by iteration at theta (n, p), keyed by point index, for the points that converge.
 
-        Each entry is λ (wanted,) and shapes (size, wanted). The dict is empty if a mode was found to be missing.
+        Each entry is λ (wanted,) and shapes (size, wanted). The dict is empty if a mode was found to be missing,
+        or if the modes could not be counted.
         """
         started: list[int] = []
 
@@ -114,8 +116,7 @@ class ConfirmedBlock(FullBlock):
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
         """Return the initial data at theta (1, p), or None if iterations cannot start there.
 
-        They cannot if α is not positive, a reduced problem fails, or one of the spaces, or both, has at most
-        `count` vectors.
+        They cannot if α is not positive, a reduced problem fails, or a space has no more than `count` vectors.
         """
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)

@@ -319,7 +319,7 @@ def balance_directions(
 def snapshot_basis(
     block: FullBlock, anchors: Anchors, theta: FloatArray, count: int, size: int, tolerance: float
 ) -> FloatArray:
-    """Return the basis (n_dof, q) that best approximates the lowest modes at theta (n, n_parameters).
+    """Return principal directions (n_dof, q) of the lowest modes at theta (n, n_parameters), as a basis.
 
     It is meant for a box so wide that no basis is accurate everywhere. The modes are compressed by proper
     orthogonal decomposition in the inner product of Ā = K + s M at the first anchor point. In this inner product

@@ -34,7 +34,7 @@ def affordable(n_dof: int) -> int:
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return the largest number of trial vectors for a block: twice `affordable`, but at most `n_dof` or 2 GiB.
+    """Return the largest number of trial vectors for a block: twice `affordable`, at most `n_dof` and 2 GiB.
 
     A block with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors.
     """

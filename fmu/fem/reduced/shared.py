@@ -120,7 +120,10 @@ class SharedResiduals:
         return energy, np.asarray(mass)
 
     def corrections(self, z: FloatArray) -> FloatArray:
-        """Return the corrections Ā⁻¹ r, shape (n_dof, m), for residuals r with coefficients z (r T, m)."""
+        """Return the corrections Ā⁻¹ r, shape (n_dof, m), for residuals r with coefficients z (r T, m).
+
+        They require `W`: once it is empty, the result is zero.
+        """
         found, first = np.zeros((self.block.size, z.shape[1])), 0
         for part in self.W:
             found += part @ z[first : first + part.shape[1]]
