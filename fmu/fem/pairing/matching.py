@@ -162,10 +162,10 @@ def match(
     Raises
     ------
     ValueError
-        If the unit is unknown, a coordinate is not finite, there are fewer than two nodes, a known point or node
-        does not exist, fewer than three points are known or these are on one line, or the points do not fit the
-        mesh or fit much better mirrored. If points do not fit, the message says if they would fit in another unit,
-        or mirrored.
+        If the unit is unknown, there are no points, a coordinate is not finite, there are fewer than two nodes, a
+        known point or node does not exist, fewer than three points are known or these are on one line, or the
+        points do not fit the mesh or fit much better mirrored. If points do not fit, the message says if they
+        would fit in another unit, or mirrored.
     """
     if unit not in UNITS:
         raise ValueError(f"unit: must be one of {', '.join(UNITS)} (got {unit!r})")

@@ -253,7 +253,10 @@ class Anchors:
         return np.asarray(np.max(self._ratios(theta, self.theta[0]), axis=1))
 
     def far(self, theta: FloatArray, space: Space) -> Far | None:
-        """Return the point in theta (n, p) farthest from all anchor points, or None if no point is far."""
+        """Return the point in theta (n, p) farthest from all anchor points, or None if no point is far.
+
+        If the bound is not `proven`, distances are measured from the first anchor point only.
+        """
 
         def near(points: FloatArray) -> FloatArray:
             if self.proven:

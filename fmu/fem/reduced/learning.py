@@ -261,7 +261,7 @@ def count_needed(
 ) -> tuple[RankPairing | None, dict[int, int]]:
     """Return the pairing as fixed ranks, or None if the ranks vary, and the number of modes each block needs.
 
-    Both follow from the solves at the first points, up to which all learners have visited the same points.
+    Both follow from the solves at the initial points that all learners have in common.
     """
     # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
