@@ -65,8 +65,8 @@ def compare_models(
     Kass & Raftery (1995), *J. Am. Stat. Assoc.* 90, 773–795; Vehtari, Gelman & Gabry (2017), *Stat. Comput.* 27,
     1413–1432.
     """
-    if not models:
-        raise ArgumentError("models", "must be two or more", 0)
+    if len(models) < 2:  # before any of them is sampled
+        raise ArgumentError("models", "must be two or more", len(models))
     traces = {
         name: sample(model, until_ess=until_ess, seed=seed) if isinstance(model, UpdatingProblem) else model
         for name, model in models.items()

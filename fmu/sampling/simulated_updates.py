@@ -47,7 +47,7 @@ class Update(NamedTuple):
     at_truth, at_mean : ndarray, shape (p,)
         Standard deviations of the posterior linearised at the true parameters, and at its own mean.
     at_bounds : ndarray, shape (p,)
-        Fraction of the draws that are close to a bound.
+        Fraction of the draws that are close to a bound; 0 for a parameter without two finite bounds.
     skewness : ndarray, shape (p,)
     crossed : float
         Fraction of the draws at which the measured modes are in a different order than at the true parameters.
@@ -81,13 +81,14 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
     with np.errstate(invalid="ignore"):
         at_truth, at_mean = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
         place = (draws - problem.lower) / (problem.upper - problem.lower)
+    near = np.isfinite(problem.upper - problem.lower) & ((place < _NEAR) | (place > 1.0 - _NEAR))
     computed = array_of(trace, "posterior_predictive", "model_frequency")
     computed = computed.reshape(-1, computed.shape[-1])[:, np.argsort(problem.frequencies(truth))]
     return Update(
         real=np.std(draws, axis=0),
         at_truth=at_truth,
         at_mean=at_mean,
-        at_bounds=np.mean((place < _NEAR) | (place > 1.0 - _NEAR), axis=0),
+        at_bounds=np.mean(near, axis=0),
         skewness=np.asarray(scipy.stats.skew(draws, axis=0)),
         crossed=float(np.mean(np.any(np.diff(computed, axis=1) < 0.0, axis=1))),
         converged=diagnose(trace).converged,
@@ -186,7 +187,7 @@ class SimulatedTests:
         - ``true values``: standard deviation linearised at the true parameters, divided by the expected one;
         - ``noise``: standard deviation linearised at the posterior mean, divided by the one at the true values;
         - ``shape``: real standard deviation, divided by the one linearised at the posterior mean;
-        - ``at_bounds``: fraction of draws close to a bound;
+        - ``at_bounds``: fraction of draws close to a bound; 0 without two finite bounds;
         - ``skewness``;
         - ``crossed``: fraction of draws with modes in another order;
         - ``reason``.

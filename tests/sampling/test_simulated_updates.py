@@ -5,7 +5,17 @@ import pytest
 
 import fmu
 from fmu.analysis.plan.result import PLANNED
-from fmu.sampling.simulated_updates import BENT, BOUNDS, CROSSING, NOISE, SHORT, TRUTH, SimulatedTests, Updates
+from fmu.sampling.simulated_updates import (
+    BENT,
+    BOUNDS,
+    CROSSING,
+    NOISE,
+    SHORT,
+    TRUTH,
+    SimulatedTests,
+    Updates,
+    summarise_update,
+)
 
 
 def updates(**changed):
@@ -44,11 +54,16 @@ def test_agreement_needs_no_reason():
     assert len(found.sentences()) == 1
 
 
+def one_stiffness(*parameter):
+    """Return the updating of one stiffness with two frequencies, known to 2 %."""
+    model = fmu.SeparableModel.from_terms(["k"], [([[1e6, -5e5], [-5e5, 5e5]], "k")], [np.eye(2) * 1e3])
+    parameters = [fmu.Parameter("k", 1.0, *parameter)]
+    return fmu.UpdatingProblem(model, fmu.expected_modes(model, parameters, 2, 0.02), parameters)
+
+
 def test_an_update_between_close_bounds_is_summarised():
     """One stiffness whose prior ends where the data leave half of the posterior."""
-    model = fmu.SeparableModel.from_terms(["k"], [([[1e6, -5e5], [-5e5, 5e5]], "k")], [np.eye(2) * 1e3])
-    parameters = [fmu.Parameter("k", 1.0, 0.99, 1.01, fmu.Normal(0.2, mean=1.0))]
-    problem = fmu.UpdatingProblem(model, fmu.expected_modes(model, parameters, 2, 0.02), parameters)
+    problem = one_stiffness(0.99, 1.01, fmu.Normal(0.2, mean=1.0))
     plan = fmu.plan(problem, 2, draws=4, frequency_sd=0.02)
     found = fmu.simulate_plan(plan, 1, choices=[], draws=50)
     update = found.updates[PLANNED]
@@ -56,3 +71,13 @@ def test_an_update_between_close_bounds_is_summarised():
     assert update.at_bounds[0, 0] == pytest.approx(0.04, abs=0.02)  # a nearly flat posterior: 2 % at each end
     assert update.real[0, 0] == pytest.approx(0.02 / np.sqrt(12.0), rel=0.1)
     assert update.at_mean[0, 0] == pytest.approx(plan.design.prior_sd[0], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "parameter", [(0.0, np.inf, fmu.LogNormal(1.0, 0.2)), (-np.inf, 1.5, fmu.Normal(0.2, mean=1.0))]
+)
+def test_no_draw_is_near_a_bound_that_is_far_if_the_other_is_infinite(parameter):
+    problem = one_stiffness(*parameter)
+    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2)
+    update = summarise_update(problem, trace, np.ones(1), 0.2 * np.eye(1))
+    np.testing.assert_array_equal(update.at_bounds, [0.0])

@@ -163,7 +163,7 @@ class PlainDensity:
         if not hasattr(self.density, "log_prob_and_grad"):
             return False
         try:
-            with _tell_where(self.start):
+            with _tell_where(self.start[None]):
                 self.density.log_prob_and_grad(self.start[None])
         except NotImplementedError:
             return False

@@ -167,6 +167,14 @@ def test_an_error_of_the_density_stays_and_says_where():
     )
 
 
+def test_an_error_of_the_gradient_at_the_start_says_which_point():
+    density = Plain(bowl)
+    density.log_prob_and_grad = raising
+    with pytest.raises(RuntimeError, match="the mesh is inverted") as caught:
+        find_map(density)
+    assert caught.value.__notes__[0].startswith("The log-density raised this at theta = [0.0, 0.0]. Let it")
+
+
 def test_hmc_needs_a_gradient():
     with pytest.raises(ValueError, match="sampler: hmc needs a density with log_prob_and_grad; without it take"):
         fmu.sample(Plain(bowl), "hmc", draws=10, warmup=10)

@@ -129,10 +129,13 @@ def test_a_problem_is_sampled(wrong):
     assert abs(found["log_evidence"]["rigid"] - known) < 5 * found["error"]["rigid"] + 0.05
 
 
-def test_one_model_or_none_is_refused(wrong):
+def test_one_model_or_none_is_refused(wrong, monkeypatch):
     for models in ({}, {"rigid": wrong[1]["rigid"]}):
         with pytest.raises(ValueError, match=r"models: must be two or more \(got [01]\)"):
             fmu.compare_models(models)
+    with pytest.raises(ValueError, match=r"models: must be two or more \(got 1\)"), monkeypatch.context() as m:
+        m.setattr("fmu.sampling.models.sample", lambda *_, **__: pytest.fail("sampled before it was refused"))
+        fmu.compare_models({"rigid": wrong[0]["rigid"]})
     with pytest.raises(ValueError, match=r"models\.b: must be a trace"):
         compare_traces({"a": wrong[1]["rigid"], "b": "no trace"})
 
