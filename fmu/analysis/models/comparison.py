@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
 from fmu.analysis.evidence import PSEUDO, found_evidences
 from fmu.analysis.fit.check import RESIDUALS
+from fmu.analysis.frf.predictions import GROUP as FRFS
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.held_out.prediction import NEITHER
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
@@ -103,7 +104,7 @@ def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
 
 
 def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
-    """Raise ValueError unless all traces have the same measured modes and quantities, used in the same way.
+    """Raise ValueError unless all traces have the same measured modes, FRFs and quantities, used in the same way.
 
     The errors must also be densities in the same unit (`_data`).
     """
@@ -127,8 +128,8 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
 def _data(trace: xr.DataTree) -> dict[str, object]:
     """Return the properties on which the compared models must agree, keyed by description.
 
-    These are the measured modes, masses and displacements, the choice of those used in updating, and the unit of
-    the errors. FRFs are not compared.
+    These are the measured modes, FRFs, masses and displacements, the choice of those used in updating, and the
+    unit of the errors.
     """
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())
@@ -139,10 +140,18 @@ def _data(trace: xr.DataTree) -> dict[str, object]:
         "modes used in updating": used if not all(used) else [],
         "measured shapes": json.dumps(configured.get("data", {}).get("shapes")),
         "masses and displacements": [],
+        "FRFs": [],
+        "values of FRFs used in updating": [],
         "quantities compared": [],
     }
     if has(trace, QUANTITIES):
         found["masses and displacements"] = trace[QUANTITIES]["measured"].to_numpy().tolist()
+    if has(trace, FRFS):
+        frfs = trace[FRFS]
+        found["FRFs"] = list(map(str, frfs["frf"].to_numpy().tolist()))
+        of_frf, at_line = np.nonzero(frfs["used"].to_numpy())
+        hz, values = frfs["line"].to_numpy()[at_line], frfs["measured"].to_numpy()[of_frf, at_line]
+        found["values of FRFs used in updating"] = np.column_stack([hz, values]).tolist()
     if has(trace, GROUP):
         group = trace[GROUP]
         compared = [*map(str, group["quantity"].to_numpy().tolist()), *str(group.attrs["other"]).split(", ")]

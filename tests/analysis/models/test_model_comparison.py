@@ -6,6 +6,7 @@ from scipy.special import logsumexp
 
 import fmu
 from fmu.analysis.models.comparison import NO_ESTIMATE, compare_traces, require_same_data, standard_error
+from tests import measured_frfs
 from tests.shear_building import frequencies_hz, shear_building
 
 STOREYS = ["k1", "k2", "k3", "k4", "k5"]
@@ -122,6 +123,21 @@ def test_models_of_other_data_are_refused(wrong, other, words):
     require_same_data(wrong[1])
 
 
+def test_models_of_other_frfs_are_refused():
+    one, other = (
+        fmu.sample(measured_frfs.problem(seed=seed), "mh", draws=5, warmup=5, chains=2, init="start")
+        for seed in (0, 1)
+    )
+    require_same_data({"one": one, "same": one})
+    with pytest.raises(ValueError, match="different: values of FRFs used in updating"):
+        require_same_data({"one": one, "other": other})
+    without = one.filter(lambda node: node.name != "frfs")
+    with pytest.raises(
+        ValueError, match=r"different: FRFs and values of FRFs used in updating \(got \['2 x / 2 x'"
+    ):
+        require_same_data({"without": without, "one": one})
+
+
 def test_a_problem_is_sampled(wrong):
     found = fmu.compare_models({"rigid": wrong[0]["rigid"], "embedded": wrong[1]["embedded"]}, until_ess=50).table
     assert found["converged"]["rigid"]
@@ -133,11 +149,11 @@ def test_one_model_or_none_is_refused(wrong, monkeypatch):
     for models in ({}, {"rigid": wrong[1]["rigid"]}):
         with pytest.raises(ValueError, match=r"models: must be two or more \(got [01]\)"):
             fmu.compare_models(models)
-    with pytest.raises(ValueError, match=r"models: must be two or more \(got 1\)"), monkeypatch.context() as m:
-        m.setattr("fmu.sampling.models.sample", lambda *_, **__: pytest.fail("sampled before it was refused"))
-        fmu.compare_models({"rigid": wrong[0]["rigid"]})
     with pytest.raises(ValueError, match=r"models\.b: must be a trace"):
         compare_traces({"a": wrong[1]["rigid"], "b": "no trace"})
+    monkeypatch.setattr("fmu.sampling.models.sample", lambda *_, **__: pytest.fail("it was sampled"))
+    with pytest.raises(ValueError, match=r"models: must be two or more \(got 1\)"):
+        fmu.compare_models({"rigid": wrong[0]["rigid"]})
 
 
 def test_an_evidence_that_no_sampler_estimates_is_missing_with_its_reason(wrong):
