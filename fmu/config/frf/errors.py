@@ -66,9 +66,9 @@ class FRFTable(Declared):
     factor: Positive = 1.0
     """Converts the file's values to SI units: 9.80665 for accelerations in g."""
     drives: _POINTS = []
-    """Place and direction of the force of each FRF, if the file does not name them."""
+    """Place and direction of the force of each FRF in the file, if the file does not name them."""
     responses: _POINTS = []
-    """Place and direction of the response of each FRF, if the file does not name them."""
+    """Place and direction of the response of each FRF in the file, if the file does not name them."""
     nodes: dict[Annotated[str, Field(pattern=r"^\d{1,9}$")], Place] = {}
     """For a universal file: the model location of each node in the file; other nodes are skipped."""
     variables: dict[Name, Name] = {}

@@ -170,10 +170,10 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
                 f"must have the degrees of freedom of the first export, {len(there)} of one mesh",
                 f"{len(here)}; only one of the two has {names_in_words(which)}",
             )
-        for (node, direction), weights in one.model.motions.items():
-            before = motions.get((node, direction), {})
+        for node, direction in {**motions, **one.model.motions}:
+            weights, before = (own.get((node, direction), {}) for own in (one.model.motions, motions))
             names = sorted(weights.keys() | before.keys())
-            size = max(abs(w) for w in weights.values())
+            size = max((abs(w) for w in (*weights.values(), *before.values())), default=0.0)
             if any(abs(weights.get(name, 0.0) - before.get(name, 0.0)) > _SAME_MOTION * size for name in names):
                 raise ArgumentError(
                     f"exports.{i}",

@@ -86,7 +86,7 @@ class GeneralResponses:
     def _solve(K: ComplexArray, C: FloatArray, M: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
         """Return the poles (2 r,) and eigenvectors (r, 2 r), or None if they do not reproduce a direct solve.
 
-        Return None also if a matrix is not finite, or the eigenproblem cannot be solved.
+        Return None also if a matrix is not finite, or the eigenproblem or the direct solve fails.
         """
         r = len(M)
         if not (np.all(np.isfinite(K)) and np.all(np.isfinite(C)) and np.all(np.isfinite(M))):
@@ -95,6 +95,8 @@ class GeneralResponses:
             inverse = np.linalg.inv(M)
             A = np.block([[np.zeros((r, r)), np.eye(r)], [-inverse @ K, -inverse @ C]])
             poles, vectors = np.linalg.eig(A)
+            at = 0.7 * float(np.median(np.abs(poles.imag)))
+            exact = np.linalg.inv(K + 1j * at * C - at**2 * M)
         except np.linalg.LinAlgError:
             return None
         x = vectors[:r]
@@ -103,8 +105,6 @@ class GeneralResponses:
             x = x / np.sqrt(size)
         if not np.all(np.isfinite(x)):
             return None
-        at = 0.7 * float(np.median(np.abs(poles.imag)))
-        exact = np.linalg.inv(K + 1j * at * C - at**2 * M)
         found = (x / (1j * at - poles)) @ x.T
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 

@@ -167,8 +167,8 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
     """Read all numeric and text arrays in an HDF5 file, such as a MATLAB 7.3 file.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
-    numbers as pairs; both are converted. Datasets with external storage are left out. Raise ValueError if there
-    are too many arrays, or one is too large.
+    numbers as pairs; both are converted. Datasets whose numbers are in other files are left out. Raise
+    ValueError if there are too many arrays, or one is too large.
     """
     import h5py
 
@@ -177,7 +177,8 @@ def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
     def keep(name: str, member: h5py.Group | h5py.Dataset) -> None:
         if len(found) > MOST_NAMES:
             raise ValueError(f"must hold at most {MOST_NAMES} arrays")
-        if isinstance(member, h5py.Dataset) and not name.startswith("#") and not member.external:
+        is_dataset = isinstance(member, h5py.Dataset) and not name.startswith("#")
+        if is_dataset and not member.external and not member.is_virtual:
             array = _hdf5_array(member)
             if array is not None:
                 found[name.replace("/", ".")] = array

@@ -27,7 +27,7 @@ class Wanted(NamedTuple):
     Attributes
     ----------
     drives, responses : sequence of (place, direction), optional
-        Drive and response point of each FRF in the file; in a universal file, of each FRF that is read.
+        Drive and response point of each FRF in the file, including those that are not read.
     nodes : mapping of node number to place, optional
         Model location of each node in the file; FRFs at other nodes are skipped.
     variables : mapping of str to str

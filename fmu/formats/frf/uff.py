@@ -16,6 +16,7 @@ import numpy as np
 from fmu.formats.frf.measured_frfs import (
     FRFFormat,
     MeasuredFRFs,
+    Points,
     Wanted,
     check_size,
     points_in_order,
@@ -64,12 +65,13 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
         raise ModesError(
             path.name, [f"must have FRFs, datasets 58 of function type 4 (got types {types}){advice}"]
         )
-    if wanted.frfs is not None:
-        frfs = [frfs[i] for i in rows_of(path.name, wanted.frfs, len(frfs))]
+    n = len(frfs)
+    rows = list(range(n)) if wanted.frfs is None else rows_of(path.name, wanted.frfs, n)
     if wanted.nodes is not None:
-        frfs = [one for one in frfs if one["rsp_node"] in wanted.nodes and one["ref_node"] in wanted.nodes]
-        if not frfs:
+        rows = [i for i in rows if frfs[i]["rsp_node"] in wanted.nodes and frfs[i]["ref_node"] in wanted.nodes]
+        if not rows:
             raise ModesError(path.name, ["nodes: must have the nodes of the response and the drive of an FRF"])
+    frfs = [frfs[i] for i in rows]
     lines = _lines(path, frfs)
     kind = _kind(path, frfs)
     factor, notes = _units(path, sets)
@@ -77,17 +79,21 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     values = np.array([_si(one, factor) for one in frfs])
     check_size(path.name, values)
     mistakes: list[str] = []
-    responses, drives = (
-        None if points is not None else axes.points(frfs, end, mistakes)
-        for end, points in (("rsp", wanted.responses), ("ref", wanted.drives))
-    )
+
+    def points(key: str, end: str, given: Points | None) -> tuple[Dof, ...]:
+        if given is None:
+            return tuple(axes.points(frfs, end, mistakes))
+        of_file = points_in_order(path.name, key, None, given, n)
+        return tuple(of_file[i] for i in rows)
+
+    drives, responses = points("drives", "ref", wanted.drives), points("responses", "rsp", wanted.responses)
     if mistakes:
         raise ModesError(path.name, list(dict.fromkeys(mistakes)))
     return MeasuredFRFs(
         lines,
         values,
-        points_in_order(path.name, "drives", drives, wanted.drives, len(frfs)),
-        points_in_order(path.name, "responses", responses, wanted.responses, len(frfs)),
+        drives,
+        responses,
         kind,
         coherence=_coherence(functions, frfs, lines),
         notes=(*notes, *axes.notes, *_labels(frfs)),

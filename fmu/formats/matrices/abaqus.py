@@ -121,7 +121,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     ----------
     file : binary file
     variable : str, optional
-        ``"stiffness"`` or ``"mass"``; required unless the file contains only stiffness.
+        ``"stiffness"`` or ``"mass"``; required if the file contains both.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
                 "FREQUENCY=0 in other steps)"
             )
         seen.add((one.kind, one.number))
-        if one.kind != (variable or _KINDS[0]):
+        if one.kind != (variable or next(iter(kinds))):
             continue
         size = len(one.codes)
         n += size**2

@@ -234,10 +234,17 @@ def _attribute(result: object, name: str) -> ArrayLike | None:
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
     """Read all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    There must be one sensor per channel. Raise the same errors as `read_pyoma`.
+    There must be one sensor per channel, or none: then only the frequencies are read. Raise the same errors as
+    `read_pyoma`.
     """
-    modes = read_pyoma(path, sensors=sensors)
-    return modes.frequencies_hz, modes.shapes if len(sensors) else None
+    if len(sensors):
+        modes = read_pyoma(path, sensors=sensors)
+        return modes.frequencies_hz, modes.shapes
+    frequencies = np.asarray(load_pyoma(path).get("Fn", ()), dtype=float).reshape(-1)
+    if not 0 < len(frequencies) <= MOST_MODES or not np.all(np.isfinite(frequencies) & (frequencies > 0)):
+        rule = f"Fn: must be 1 to {MOST_MODES} positive frequencies"
+        raise ModesError(path.name, [f"{rule} (got {quote(frequencies.tolist())})"])
+    return frequencies, None
 
 
 FORMAT = ModesFormat(read_pyoma, "{job}.npz", computed_pyoma, has_numbers=False)

@@ -49,7 +49,8 @@ def read_frf(
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}, optional
         Needed if the file does not state it; otherwise it must agree with the file.
     drives, responses : tuple of (place, direction), optional
-        Points of the FRFs, in file order; needed if the file does not name them.
+        Points of all FRFs in the file, in file order; needed if the file does not name them. With `frfs` or
+        `nodes` too, those of the FRFs that are not read are ignored.
     nodes : mapping of node number to place, optional
         For universal files: maps node numbers in the file to model nodes or their names; FRFs at other nodes are
         skipped. By default, the model's nodes have the same numbers as the nodes in the file.

@@ -169,6 +169,13 @@ BROKEN = {
         lambda made: [*made[:2], replace(made[2], model=replace(made[2].model, dofs=((99, "x"), *DOFS[1:])))],
         "exports.2: must have the degrees of freedom of the first export, 60 of one mesh .*node 1 x and node 99 x",
     ),
+    "a motion less": (
+        lambda made: [
+            replace(made[0], model=replace(made[0].model, motions={(99, "x"): {DOFS[0]: 1.0}})),
+            *made[1:],
+        ],
+        r"exports.1: must have the geometry of the first export \(the motion of node 99 x depends",
+    ),
     "unknown": (lambda made: [*made, replace(made[1], values={"nu": 0.3})], "exports.7.values: must be of E, t"),
     "first is check": (
         lambda made: [replace(made[0], check=True), *made[1:]],

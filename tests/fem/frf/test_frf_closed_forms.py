@@ -159,6 +159,11 @@ def test_slopes_stay_exact_where_frequencies_coincide(apart):
     assert_gradient(flat_J, flat, theta, 1e-3, order=6, of_largest=1e-6)
 
 
+def test_poles_are_refused_where_the_stiffness_they_are_checked_at_is_singular():
+    """The poles 0 and -10 of a free mass on a dashpot are checked at 0 rad/s."""
+    assert GeneralResponses._solve(np.zeros((1, 1)) + 0j, np.full((1, 1), 10.0), np.eye(1)) is None
+
+
 @pytest.mark.parametrize("massless", [False, True])
 def test_a_damped_beam_on_a_reduced_basis_has_the_exact_series(massless):
     """Tip receptance of a cantilever with a loss factor, by the exact solution of Euler and Bernoulli."""

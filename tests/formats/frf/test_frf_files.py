@@ -348,9 +348,36 @@ def test_hdf5(data, tmp_path):
     named = {"frequencies_hz": "t.f", "values": "t.H", "kind": "t.kind"}
     wanted = Wanted(data.drives, data.responses, variables=named)
     same(of_arrays(path.name, hdf5_arrays(path), wanted, lines_first=False), data)
+    elsewhere = h5py.VirtualLayout(shape=(1, 100), dtype=float)
+    elsewhere[:] = h5py.VirtualSource(str(path), "t/f", shape=(1, 100))
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        file.create_virtual_dataset("f", elsewhere)
+        file["own"] = F
+    assert list(hdf5_arrays(tmp_path / "virtual.h5")) == ["own"]
     path.write_bytes(path.read_bytes()[:900])
     with pytest.raises(ValueError, match=r"a.h5: "):
         fmu.read_frf(path, kind="accelerance")
+
+
+@pytest.mark.parametrize("suffix", [".uff", ".csv", ".npz"])
+def test_points_are_of_all_frfs_in_the_file(data, tmp_path, suffix):
+    """Also where only some FRFs are read, in another order."""
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".uff":
+        written(path, [units(1.0, 1.0), *(function(data, i) for i in range(3))])
+    elif suffix == ".csv":
+        table(path, data, long=False, polar=False)
+    else:
+        np.savez(path, **arrays(data))
+    points = {"responses": ((7, "x"), (8, "y"), (9, "z")), "drives": ((4, "x"), (5, "y"), (6, "z"))}
+    found = fmu.read_frf(path, kind="accelerance", frfs=[3, 1], **points)
+    assert found.labels == ("9 z / 6 z", "7 x / 4 x")
+    for key, own in points.items():
+        with pytest.raises(ValueError, match=rf"{key}: must be 3, one per FRF of the file \(got 2\)"):
+            fmu.read_frf(path, kind="accelerance", frfs=[3, 1], **(points | {key: own[:2]}))
+    if suffix == ".uff":
+        found = fmu.read_frf(path, nodes={1: 1, 3: 3}, **points)
+        assert found.labels == ("7 x / 4 x", "9 z / 6 z")
 
 
 def test_other_files_refused(tmp_path):

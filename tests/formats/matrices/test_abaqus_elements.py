@@ -59,6 +59,20 @@ def test_sums_of_stiffness_and_mass(tmp_path):
     assert_allclose(model.mass.toarray(), sums["MASS"], rtol=1e-13)
 
 
+@pytest.mark.parametrize("kind", ["STIFFNESS", "MASS"])
+def test_the_only_kind_in_a_file_needs_no_name(tmp_path, kind):
+    text, sums, _ = structure((kind,))
+    (tmp_path / "a.mtx").write_text(text)
+    assert_allclose(read_labelled(tmp_path / "a.mtx").matrix.toarray(), sums[kind], rtol=1e-13)
+
+
+@pytest.mark.parametrize("kinds", [("STIFFNESS", "MASS"), ("MASS", "STIFFNESS")])
+def test_two_kinds_in_a_file_need_a_name(tmp_path, kinds):
+    (tmp_path / "a.mtx").write_text(structure(kinds)[0])
+    with pytest.raises(ValueError, match="variable: must be given, one of stiffness, mass"):
+        read_labelled(tmp_path / "a.mtx")
+
+
 def test_directions_that_change_within_an_element_and_nodes_twice(tmp_path):
     """The second line of directions holds from the third node on."""
     K = spd(7)

@@ -14,7 +14,7 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.formats.modes.measured_modes import ModesError
-from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes, save_pyoma
+from fmu.formats.modes.pyoma import FORMAT, load_pyoma, pyoma_modes, save_pyoma
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.frequency import FrequencyErrors
 from fmu.posterior.errors.shape import ShapeErrors
@@ -140,6 +140,18 @@ def test_result_in_a_file(tmp_path, result):
     save_pyoma(path, result)
     one, other = ModalData.from_pyoma(load_pyoma(path), SENSORS), ModalData.from_pyoma(result, SENSORS)
     assert one.as_dict() == other.as_dict()
+
+
+def test_frequencies_of_a_file_without_sensors(tmp_path, result):
+    path = tmp_path / "result.npz"
+    save_pyoma(path, result)
+    frequencies, shapes = FORMAT.computed(path, (), path)
+    assert_array_equal(frequencies, result.Fn)
+    assert shapes is None
+    for wrong in ({}, {"Fn": np.zeros(0)}, {"Fn": [1.0, np.nan]}, {"Fn": [-1.0]}):
+        save_pyoma(path, wrong)
+        with pytest.raises(ModesError, match=r"^result\.npz: Fn: must be 1 to \d+ positive frequencies \(got \["):
+            FORMAT.computed(path, (), path)
 
 
 def test_no_pickle_is_read(tmp_path):
