@@ -227,7 +227,7 @@ class OnsetTable(TomlTable):
     date: PriorTable | None = None
     """Prior of the date, in the unit of the time; uniform between the first and last test if not given."""
     event: Name = "damage"
-    """Parameters with the same event have the same date."""
+    """Parameters with the same event have the same date, and must have the same by, grows and date."""
 
 
 SETTINGS = {

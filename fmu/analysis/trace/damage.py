@@ -135,7 +135,8 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
     """Return the posterior means, in SI units, of every parameter that has a loss, before and after the damage.
 
-    The mean before damage is taken over the tests of the reference state.
+    The mean before damage is taken over the tests of the reference state in which the parameter is unknown. If it
+    is known in all of them, its mean known value is returned.
 
     Returns
     -------
@@ -146,10 +147,12 @@ def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
 
     losses, tests = trace[LOSSES].to_dataset(), trace["tests"].to_dataset()
     undamaged = tests_in(trace, str(trace[LOSSES].attrs["reference"]))
+    known = {str(test["name"]): test["known"] for test in problem_of(trace)["tests"]}
     rows: dict[tuple[str, str], tuple[float, float]] = {}
     for state in later_states(trace):
         for name in map(str, losses.data_vars):
-            before = tests[name].sel(test=undamaged).mean("test")
+            unknown = [test for test in undamaged if name not in known[test]] or undamaged
+            before = tests[name].sel(test=unknown).mean("test")
             after = before * (1.0 - losses[name].sel(state=state))
             rows[state, name] = float(before.mean()), float(after.mean())
     index = pandas.MultiIndex.from_tuples(list(rows), names=["state", "parameter"])

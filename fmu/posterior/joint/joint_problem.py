@@ -285,6 +285,11 @@ def find_mistakes(
     groups = {test.group for test in tests}
     if tests and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
+    for name in (name for name in names if varies[name].by_group):
+        values = {test.known.get(name) for test in tests if test.group == reference}
+        if 0.0 in values and None not in values:
+            rule = f"must have a test in which {name} is not known to be 0, as losses of {name} refer to it"
+            found.append(f"reference: {rule} (got {reference!r})")
     n = sum(varies[name].population is not None for name in names)
     if outliers is not None and not n:
         rule = "needs a parameter with a population, of which a test may be an outlier"

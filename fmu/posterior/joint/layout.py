@@ -127,7 +127,8 @@ class Layout:
     def losses(self, theta: FloatArray) -> FloatArray:
         """Return the losses 1 − θ/θ_reference for the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        The losses include neither trends with covariates nor scatter between tests.
+        The losses include neither trends with covariates nor scatter between tests. For a parameter that varies by
+        ``"group"`` and is known in all tests of a group, they are those of the known value in its first test.
 
         Parameters
         ----------

@@ -272,12 +272,19 @@ class Theta:
         Raises
         ------
         ValueError
-            If theta already has another parameter with this name, or the same parameter in another role.
+            If theta already has another parameter with this name or in this role, or the same parameter in another
+            role.
         """
-        same = [k for k, other in enumerate(self.main) if other.name == parameter.name]
+        role = Role(kind, None, where)
+        has_name = [other.name == parameter.name for other in self.main]
+        same = [k for k, other in enumerate(self.roles) if has_name[k] or other == role]
         if not same:
             return self.add(parameter, kind, None, where)
-        if self.main[same[0]] != parameter or self.roles[same[0]] != Role(kind, None, where):
+        first = self.main[same[0]]
+        if first.name != parameter.name:
+            rule = f"must have the same by for all parameters with the event {where}, or another event"
+            raise ValueError(f"varies: {parameter.name} {rule} (got {first.name} too)")
+        if first != parameter or self.roles[same[0]] != role:
             rule = "must have the same prior and growth for all parameters, or another event (got two)"
             raise ValueError(f"varies: {parameter.name} {rule}")
         return same[0]

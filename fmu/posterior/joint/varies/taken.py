@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -27,14 +27,24 @@ class Taken(InTests):
     own : Parameter or None
         The parameter if each test has its own value; the value in a further test is drawn from its prior. None
         if tests share values.
+    known : mapping of int to float
+        Known values, keyed by the index of the test, in tests that share no value with a test in which the
+        parameter is unknown. There the index in `columns` is arbitrary but valid.
     """
 
     columns: IntArray
     own: Parameter | None = None
+    known: Mapping[int, float] = field(default_factory=dict)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the value in each test, (n, n_tests), and its derivatives, at theta (n, n_parameters)."""
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
+
+    def losses(self, theta: FloatArray, reference: int) -> FloatArray:
+        """Return the relative losses (n, n_tests) compared with test `reference`; known values are included."""
+        value = self(theta)[0]
+        value[:, list(self.known)] = list(self.known.values())
+        return np.asarray(1.0 - value / value[:, [reference]])
 
     def identity(self, test: int) -> Hashable:
         """Return a key. Tests with equal keys have equal parameter values at every theta."""
@@ -99,9 +109,9 @@ class Shared(Varies):
             place: theta.add(replace(p, name=f"{p.name} [{place}]") if place else p, self.kind, of, place)
             for place in dict.fromkeys(places[t] for t in here)
         }
-        columns = np.zeros(len(theta.tests), dtype=np.int64)
-        columns[here] = [number[places[t]] for t in here]
-        return Taken(columns, self.own(p))
+        columns = np.array([number.get(place, 0) for place in places], dtype=np.int64)
+        known = {t: theta.tests[t].known[p.name] for t, place in enumerate(places) if place not in number}
+        return Taken(columns, self.own(p), known)
 
 
 class ByTest(Shared):

@@ -47,15 +47,17 @@ class UndatedDamage(Varies):
     prior : Prior, optional
         Prior of the loss d; the default is as in `Damage`.
     by : str
-        Covariate that gives the time of each test, such as ``"day"``. By default the tests were made at times 1,
-        2, … in their order.
+        Covariate that gives the time of each test, such as ``"day"``. Every test must have it, even if the
+        parameter is known there, because the date belongs to the event and not to one parameter. By default the
+        tests were made at times 1, 2, … in their order.
     grows : bool
         Whether the loss grows linearly from the date on.
     date : Prior, optional
         Prior of the date, in the time unit; uniform by default.
     event : str
-        Name of the event. Parameters with the same event and the same `by` have the same date. The date is named
-        ``"day of damage"`` after the time and the event, or ``"test of damage"`` if test numbers serve as time.
+        Name of the event. Parameters with the same event have the same date, and must have the same `by`, `grows`
+        and `date`. The date is named ``"day of damage"`` after the time and the event, or ``"test of damage"`` if
+        test numbers serve as time.
     scatter : Population, optional
         Population of the undamaged values in the tests. By default all tests have the same undamaged value.
 
@@ -119,8 +121,8 @@ class UndatedDamage(Varies):
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
         """Add the undamaged value, the loss and the date to theta; return the values in the tests.
 
-        Raise ValueError if another parameter with the same event has another date prior or another growth, or as
-        `Population.parameters` does.
+        Raise ValueError if another parameter with the same event has another time, another date prior or another
+        growth, or as `Population.parameters` does.
         """
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, SHARED)
         loss = theta.add(loss_parameter(f"{p.name} loss", self.prior), "loss", of, self.event)

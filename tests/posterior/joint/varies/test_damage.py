@@ -7,6 +7,10 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.analysis.fit.check import POPULATION
 from fmu.analysis.fit.model_fit import model_fit
+from fmu.analysis.trace.damage import before_and_after
+from fmu.posterior.joint.joint_problem import find_mistakes
+from fmu.posterior.joint.varies import way_of
+from fmu.posterior.joint.varies.taken import Shared
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building
 
@@ -53,6 +57,54 @@ def test_gradient_and_losses(building, damage):
     points = 0.9 * problem.start + 0.1 * theta
     gradient = problem.log_prob_and_grad(points)[1]
     assert_gradient(gradient, problem.log_prob, points, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)
+
+
+GROUPS = ("old", "old", "new", "repaired", "repaired")
+
+
+def campaign_with(known):
+    """Return two storeys, tests in `GROUPS` with k2 known in the tests with these numbers, and the parameters."""
+    two, _, parameters = scattering(n=0)
+    f = frequencies_hz(two, [1.0, 1.0])[0]
+    tests = [
+        fmu.Test(f"t{t}", fmu.ModalData(f, sd_hz=0.01 * f), group, known={"k2": known[t]} if t in known else {})
+        for t, group in enumerate(GROUPS)
+    ]
+    return two, tests, parameters
+
+
+def known_in(known, varies="group"):
+    return fmu.JointProblem(*campaign_with(known), varies={"k2": varies}, pairing="index", reduction=False)
+
+
+@pytest.mark.parametrize("known", [{0: 0.6}, {1: 0.6}, {0: 0.6, 3: 0.9}], ids=str)
+def test_losses_are_of_tests_in_which_the_parameter_is_unknown(known):
+    problem = known_in(known)
+    assert problem.names == ("k1", "k2 [old]", "k2 [new]", "k2 [repaired]")
+    assert_allclose(problem.layout.losses(np.array([[1.4, 1.0, 0.75, 0.8]]))[0, :, 0], [0.25, 0.2], rtol=1e-14)
+
+
+def test_losses_of_a_group_in_which_the_parameter_is_known():
+    problem = known_in({3: 0.9, 4: 0.9})
+    assert problem.names == ("k1", "k2 [old]", "k2 [new]")
+    assert_allclose(problem.layout.losses(np.array([[1.4, 1.2, 0.75]]))[0, :, 0], [0.375, 0.25], rtol=1e-14)
+    reference = known_in({0: 0.8, 1: 0.8})
+    assert_allclose(reference.layout.losses(np.array([[1.4, 0.6, 0.8]]))[0, :, 0], [0.25, 0.0], atol=1e-14)
+
+
+@pytest.mark.parametrize("varies", ["group", fmu.Damage()], ids=["group", "damage"])
+def test_a_reference_in_which_the_parameter_is_known_to_be_zero(varies):
+    with pytest.raises(ValueError, match=r"reference: must have a test in which k2 is not known to be 0"):
+        known_in({0: 0.0, 1: 0.0}, varies)
+    _, tests, parameters = campaign_with({0: 0.0})
+    assert not find_mistakes(tests, parameters, 2, {"k1": Shared(), "k2": way_of(varies)}, {}, "old")
+
+
+def test_values_before_the_damage_are_of_tests_in_which_the_parameter_is_unknown():
+    problem = known_in({0: 0.6})
+    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2, seed=1, init="prior")
+    before = before_and_after(trace)["before"]
+    assert_allclose(before, float(trace["posterior"]["k2 [old]"].mean()), rtol=1e-12)
 
 
 def test_the_damaged_storey_is_found_and_no_other(building):

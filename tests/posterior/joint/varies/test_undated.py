@@ -74,6 +74,11 @@ def test_an_event_has_one_date(building):
     assert two.names == ("k1", "k1 loss", "day of damage", "k2", "k2 loss", "day of corrosion")
     with pytest.raises(ValueError, match="varies: day of damage must have the same prior and growth"):
         posed(building, {"k1": SUDDEN, "k2": GROWING})
+    by_number = (
+        "varies: test of damage must have the same by .* event damage, or another event .got day of damage too"
+    )
+    with pytest.raises(ValueError, match=by_number):
+        posed(building, {"k1": SUDDEN, "k2": fmu.UndatedDamage()})
 
 
 @pytest.mark.parametrize("scatter", [None, fmu.Population(sd=fmu.HalfNormal(0.05))], ids=["none", "scatter"])
