@@ -164,8 +164,9 @@ def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
 
 
 def given_decimals(value: float) -> int:
-    """Return the number of decimals with which `given` formats a value."""
-    return len(given(value).partition(".")[2])
+    """Return the number of decimals with which `given` formats a value; 0 if it uses a power of ten."""
+    text = given(value)
+    return 0 if "e" in text else len(text.partition(".")[2])
 
 
 def with_interval(value: float, low: float, high: float, places: int) -> str:

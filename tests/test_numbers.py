@@ -129,6 +129,12 @@ def test_frequencies(values, texts):
 def test_computed_frequencies_have_the_decimals_of_the_measured_one():
     assert n.hertz(1.0, 1.0049, measured=0.9872) == ("1.0000", "1.0049")
     assert n.hertz(32.7, 28.84, measured=31.9) == ("32.70", "28.84")
+    assert n.hertz(9.25e6, 9.26e6, measured=1.25e7) == ("9250000", "9260000")
+
+
+@pytest.mark.parametrize(("value", "decimals"), [(31.90, 1), (12.0, 0), (0.012, 3), (1.5e11, 0), (1.25e-7, 0)])
+def test_decimals_of_a_value_as_it_was_given(value, decimals):
+    assert n.given_decimals(value) == decimals
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def information(trace: xr.DataTree) -> Information | None:
         return None
     names = parameter_names(trace)
     x, prior, of_logarithm = standardise_draws(trace)
-    if len(x) < 2 or not np.any(x.std(axis=0) > 0):
+    if len(x) < 2 or not np.any(np.ptp(x, axis=0) > 0):
         return None
     n = len(names)
     C = np.atleast_2d(np.cov(x.T))
@@ -302,14 +302,19 @@ def compared_with_draws(
     return [*said, f"Believe the draws, which count bounds, curvature and all maxima: {' and '.join(why)}."]
 
 
+def why_unknown(trace: xr.DataTree) -> str:
+    """Return in words why `information` gives None for a trace."""
+    return "all posterior draws are the same" if has(trace, "prior") else "there are no draws from the prior"
+
+
 def not_informed(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the names of the parameters that the data did not inform; empty if the trace has no prior draws."""
+    """Return the names of the parameters that the data did not inform; empty if `information` gives None."""
     found = information(trace)
     return () if found is None else found.not_informed
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a trace's `Information.warnings`, or an empty list if the trace has no draws from the prior."""
+    """Return a trace's `Information.warnings`, or an empty list if `information` gives None."""
     found = information(trace)
     return [] if found is None else found.warnings()
 

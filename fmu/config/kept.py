@@ -83,7 +83,7 @@ class KeptProblem:
             "about": _ABOUT,
             "file": self.file.name,
             "folder": Path(os.path.relpath(self.folder.resolve(), directory.resolve())).as_posix(),
-            "pairing": str(self.pairing),
+            "pairing": self.pairing,
             "orders": dict(self.orders),
             "finished": list(self.finished),
         }
@@ -116,7 +116,7 @@ def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
         return KeptProblem(model, model.parent, None)
     try:
         origin = json.loads((directory / ORIGIN).read_text(encoding="utf-8"))
-        folder, pairing = str(origin["folder"]), str(origin["pairing"])
+        folder, pairing = str(origin["folder"]), None if origin["pairing"] is None else str(origin["pairing"])
         orders = Orders(**origin["orders"])
         finished = tuple(map(str, origin["finished"]))
     except (ValueError, KeyError, TypeError) as error:

@@ -8,6 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from fmu.analysis.convergence.diagnosis import CONVERGED
+from fmu.analysis.maxima.missed import nearest_maxima
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.numbers import fixed, significant, whole
 from fmu.paper.experiment import (
     PAIRED_BY,
@@ -28,6 +31,7 @@ from fmu.report.plots import TITLES
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
     from fmu.paper.published import Experiment as Published
 
@@ -51,6 +55,8 @@ class Findings:
         column ``modes`` for the physical modes paired at each maximum.
     reasons, warnings : mapping of str to tuple of str
         The reasons why the long run has not converged, and the warnings about the model, keyed by sampler.
+    never_near : tuple of str
+        Samplers whose long run has no draw near the highest maximum.
     places : mapping of str to mapping of str to float
         The fraction of each long run's draws at which each combination of physical modes is paired.
     one_start : OneStart
@@ -82,6 +88,7 @@ class Findings:
     maxima: pd.DataFrame
     reasons: Mapping[str, tuple[str, ...]]
     warnings: Mapping[str, tuple[str, ...]]
+    never_near: tuple[str, ...]
     places: Mapping[str, Mapping[str, float]]
     one_start: OneStart
     agreement: tuple[float, float, tuple[str, ...]]
@@ -110,6 +117,7 @@ class Findings:
             maxima=maxima,
             reasons={name: diagnosis.reasons for name, diagnosis in result.diagnoses.items()},
             warnings={name: diagnosis.warnings for name, diagnosis in result.diagnoses.items()},
+            never_near=tuple(name for name, trace in result.long.items() if not _is_near(trace, result.maxima)),
             places=result.places,
             one_start=one_start(result),
             agreement=agreement(result),
@@ -170,11 +178,6 @@ class Findings:
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
 
     @property
-    def never_visited(self) -> list[str]:
-        """Samplers whose long run is reported as never having visited some maximum."""
-        return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
-
-    @property
     def separate_maxima(self) -> pd.DataFrame:
         """Table rows of the maxima whose log-probability is less than `DEEP` below the highest maximum."""
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
@@ -184,6 +187,12 @@ class Findings:
         position = self.published.parameter_names.index(parameter)
         exponent = self.published.columns["initial"].parameters[position].exponent
         return float(f"1e{exponent}"), f"1e{exponent} {self.parameters['unit'][parameter]}"
+
+
+def _is_near(trace: xr.DataTree, maxima: Maxima) -> bool:
+    """Return True if a draw is near the highest maximum."""
+    draws = parameter_draws(trace)
+    return 0 in nearest_maxima(draws.reshape(-1, draws.shape[2]), maxima)
 
 
 SHORT = {"hmc": "HMC", "mh": "MH", "slice": "slice sampling"}

@@ -239,8 +239,8 @@ def maxima(findings: Findings) -> str:
     )
     if len(findings.separate_maxima) > 1 and not all(map(findings.is_converged, findings.comparison.index)):
         text += f"\n{SEPARATED}"
-        if findings.never_visited:
-            text += f"Never near number 1: {', '.join(TITLES[s] for s in findings.never_visited)}. "
+        if findings.never_near:
+            text += f"Never near number 1: {', '.join(TITLES[s] for s in findings.never_near)}. "
         text += "\n"
     return text
 

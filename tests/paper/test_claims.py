@@ -5,7 +5,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from fmu.paper.findings import SEPARATED, judge, statement
+from fmu.paper.findings import SEPARATED, Findings, judge, statement
 from fmu.paper.page import experiment_page
 from fmu.paper.summary import summary_page
 
@@ -129,6 +129,25 @@ def test_statement_on_separated_modes(make):
     assert SEPARATED.strip() in experiment_page(make(open_=("emcee",), maxima=split))
     assert SEPARATED.strip() not in experiment_page(make(open_=("emcee",)))
     assert SEPARATED.strip() not in experiment_page(make(maxima=split))  # all runs crossed between them
+
+
+def test_only_runs_away_from_the_highest_maximum_are_named(result, make):
+    """A run that missed another maximum is not."""
+    highest = result.maxima[0]
+    at = {"mh": highest.theta + 100.0 * highest.sd, "slice": highest.theta}
+    long = {name: trace.copy(deep=True) for name, trace in result.long.items()}
+    for sampler, theta in at.items():
+        for name, value in zip(result.problem.names, theta, strict=True):
+            long[sampler]["posterior"][name].values[:, ::2] = value
+            long[sampler]["posterior"][name].values[:, 1::2] = value * (1.0 + 1e-9)
+    never_near = Findings.of(replace(result, long=long)).never_near
+    assert "mh" in never_near
+    assert "slice" not in never_near
+    maxima = make().maxima
+    split = pd.concat([maxima, maxima.assign(log_prob=maxima["log_prob"] - 67)])
+    missed = {"slice": ("maximum 2 was never visited",)}
+    page = experiment_page(make(open_=("mh", "slice"), maxima=split, reasons=missed, never_near=("mh",)))
+    assert "Never near number 1: Metropolis–Hastings. \n" in page
 
 
 def test_chains_from_one_start_are_not_believed_for_their_rhat(make):

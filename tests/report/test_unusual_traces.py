@@ -18,7 +18,10 @@ def test_older_traces_lack_groups(hostile_traces, tmp_path):
     index = write_pages({"hmc": trace}, tmp_path)
     page = Parsed(index.read_text())
     assert "The trace has no frequencies before updating" in page.text
-    assert "Identifiability: the trace has neither a linearised model" in page.text
+    assert (
+        "Identifiability: the trace has no linearised model, and there are no draws from the prior." in page.text
+    )
+    assert "Posterior and prior cannot be compared: there are no draws from the prior." in page.text
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
 
 
@@ -39,4 +42,7 @@ def test_chains_that_stand_still_have_a_page(hostile_traces):
     runs = runs_of({"hmc": trace})
     page = Parsed(render(sampler_page(runs["hmc"], file_names(runs), runs)))
     assert "chain 0 does not move for 40 of its 40 draws" in page.text
+    assert "Prior and posterior: all posterior draws are the same." in page.text
+    assert "Posterior and prior cannot be compared: all posterior draws are the same." in page.text
+    assert "draws from the prior" not in page.text
     assert "Leave-one-mode-out check: there are too few draws, or they do not move." in page.text

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import fmu
 from fmu.analysis.prediction import predict_frequencies
@@ -105,6 +106,20 @@ def test_figures_say_which_is_which(run):
     words = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
     assert f"after: mean, 90 % interval for the mean of {N - 1} to {N} tests" in words
     assert "the same for one more test" in words
+
+
+def test_where_the_frequencies_are_no_data_no_noise_is_shown(run):
+    """As with FRFs alone: the intervals are of the model's frequencies, and there is none of one more test."""
+    trace = run.trace.copy()
+    observed = trace["observed_data"].to_dataset()
+    trace["observed_data"] = xr.DataTree(observed.assign(used=("mode", np.zeros(observed.sizes["mode"], bool))))
+    (other,) = runs_of({"hmc": trace}).values()
+    legend = plots.plot_frequency_updates(trace).figure.legends[0]
+    words = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
+    assert words[-1] == "after: mean, 90 % interval without measurement noise"
+    (table,) = (part for part in updating.frequencies(other).parts if isinstance(part, PageTable))
+    assert table.header[-1] == "90 %, without noise, Hz"
+    assert table.caption.startswith("After: posterior mean of the model's frequency, and its 90 % interval.")
 
 
 def test_what_was_not_updated_is_not_among_what_was(run):

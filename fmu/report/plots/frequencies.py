@@ -111,9 +111,9 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     """Plot the model's frequency errors before and after updating.
 
     The frequencies before updating are shown if the trace stores them. The frequencies after updating are the
-    posterior means, with the 90 % interval of a new measurement. The interval excludes noise if no noise is
-    modelled, or if only frequency response functions are used in updating. For repeated tests, a new measurement
-    is the mean of as many tests, and the 90 % interval of one more test is shown beside it.
+    posterior means, with the 90 % interval of a new measurement. For repeated tests, a new measurement is the mean
+    of as many tests, and the 90 % interval of one more test is shown beside it. If no noise is modelled, or if
+    only frequency response functions are used in updating, the interval is the one of the model's frequency.
 
     Parameters
     ----------
@@ -139,10 +139,10 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     prefix, kind = ("noisy_", "with") if is_noisy else ("", "without")
     ends = table[[f"{prefix}eti90_lb", f"{prefix}eti90_ub"]].to_numpy().T
     label = f"after: mean, 90 % interval {kind} measurement noise"
-    if tests is not None and "noisy_sd" in table:
+    if tests is not None and is_noisy:
         label = f"after: mean, 90 % interval for {measurement_in_words(tests)}"
     series.append(Frequencies(label, table["mean"], style.colour(str(trace.attrs["sampler"])), interval_hz=ends))
-    if "test_eti90_lb" in table:
+    if is_noisy and "test_eti90_lb" in table:
         ends = table[["test_eti90_lb", "test_eti90_ub"]].to_numpy().T
         series.append(
             Frequencies("the same for one more test", table["mean"], style.BLACK, filled=False, interval_hz=ends)

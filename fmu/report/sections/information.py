@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.analysis.identifiability import Identifiability
-from fmu.analysis.information import information, separation_in_words
+from fmu.analysis.information import information, separation_in_words, why_unknown
 from fmu.analysis.prediction import at_bounds
 from fmu.numbers import names_in_words, share, significant
 from fmu.report.document import Omitted, PageSection, Picture, Pictures, Text, picture
@@ -32,7 +32,7 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
     """
     title, found = "Prior and posterior", information(run.trace)
     if found is None:
-        return Omitted(title, "the trace has no draws from the prior")
+        return Omitted(title, why_unknown(run.trace))
     left = np.sqrt(np.maximum(1.0 - found.contraction, 0.0))
     k, j = int(np.argmin(left)), int(np.argmax(left))
     said = (

@@ -10,7 +10,14 @@ from markupsafe import Markup
 
 from fmu.analysis.fit.measured_shapes import measured_mac
 from fmu.analysis.identifiability import Identifiability, kept_identifiability
-from fmu.analysis.information import CRITERION, Information, compared_with_draws, information, left_along
+from fmu.analysis.information import (
+    CRITERION,
+    Information,
+    compared_with_draws,
+    information,
+    left_along,
+    why_unknown,
+)
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.pairing_changes import pairing_changes
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START, sketch_of
@@ -79,7 +86,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)
     if found is None and not kept:
-        return Omitted(title, "the trace has neither a linearised model nor draws from the prior")
+        return Omitted(title, f"the trace has no linearised model, and {why_unknown(run.trace)}")
     if found is None:
         said = [f"{_WHERE.get(at, at)}. {sentence}" for at, one in kept.items() for sentence in one.sentences()]
         tables = tuple(directions(one, _WHERE.get(at, at)) for at, one in kept.items())

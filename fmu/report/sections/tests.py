@@ -242,12 +242,11 @@ def _losses_of_groups(run: ReportedRun) -> list[Part]:
     )
     worst = table.drop(index=ANY, level=1).iloc[:, 4]
     named = [f"{name} in {state}" for state, name in worst.index[worst > 0.5]]
-    said = f"probably beyond {share(_BEYOND[0])}: {', '.join(named)}" if named else "none is probably beyond 5 %"
+    beyond = f"probably beyond {share(_BEYOND[0])}"
+    said = f"{beyond}: {', '.join(named)}" if named else f"none is {beyond}"
     said = f"P is {WITHHELD}" if table.attrs[WITHHELD] else said
-    caption = f"Median, 50 % and 90 % of each loss; red where it is probably beyond {share(_BEYOND[0])}."
-    picture_of = picture(
-        plot_losses(run.trace, _BEYOND[0]), f"{run.name}-loss", f"Losses of stiffness: {said}.", caption
-    )
+    caption = f"Median, 50 % and 90 % of each loss; red where it is {beyond}."
+    picture_of = picture(plot_losses(run.trace, _BEYOND[0]), f"{run.name}-loss", f"Losses: {said}.", caption)
     found = PageTable("Losses and posterior means before and after", columns, tuple(rows), (1,))
     drawings, view = _where(run, table)
     return [words, *drawings, Pictures((picture_of,)), found, *view]
@@ -376,8 +375,8 @@ def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...],
     pictures = []
     for state, (svg, entries) in drawings.items():
         caption = (
-            f"{state}: probability that more than {share(_BEYOND[0])} of an element's stiffness is lost, the "
-            "largest of the parameters that change it."
+            f"{state}: probability of a loss of more than {share(_BEYOND[0])}, the largest of the parameters that "
+            "change an element."
         )
         svg = Markup(svg.replace("The structure:", "The damaged structure:", 1))  # also in the page's head
         pictures.append(Picture(svg + legend(entries), caption, round(WIDTH)))

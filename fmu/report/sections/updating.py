@@ -120,7 +120,7 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     before = np.full(len(table), np.nan) if before is None else before
     are_data, tests = modes_are_data(run.trace), measured_tests(run.trace)
     is_noisy = "noisy_sd" in table and are_data
-    has_tests = "test_eti90_lb" in table
+    has_tests = "test_eti90_lb" in table and are_data
     rows, seen = [], []
     for mode, (_, row), f in zip(mode_names(run.trace), table.iterrows(), before, strict=True):
         n = max(1, decimals(row["sd"]), given_decimals(row["measured"]))

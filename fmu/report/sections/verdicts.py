@@ -10,7 +10,7 @@ from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.fit.model_fit import CONTRADICTED
-from fmu.analysis.information import DATA, information, not_informed
+from fmu.analysis.information import DATA, information, not_informed, why_unknown
 from fmu.analysis.prediction import at_bounds, pinned_parameters
 from fmu.analysis.trace.reading import LOSSES, constant, has, is_loss, mode_names
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
@@ -135,7 +135,7 @@ def judge_data(run: ReportedRun) -> Verdict:
     question = "Anything left undetermined?"
     found = information(run.trace)
     if found is None:
-        nothing = "The trace has no draws from the prior to compare the posterior with."
+        nothing = f"Posterior and prior cannot be compared: {why_unknown(run.trace)}."
         return Verdict(question, "Unknown", None, "Why this is unknown", (nothing,))
     if not found.uninformed:
         narrowed = "The data narrowed every combination of the parameters."
