@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,6 +50,24 @@ def check_held(layout: Layout, model: ModalModel) -> None:
         raise ArgumentError(f"{next(iter(layout.held))}.updated", rule, False)
 
 
+def modal_model_in(model: Model, n_sensors: int) -> ModalModel | None:
+    """Return a model that pairs its modes itself, or None for a `SeparableModel` or a `BlackBoxModel`.
+
+    Shapes, if it gives any, are at the `n_sensors` sensors at which they were measured. Raise ValueError if
+    `model` is no model.
+    """
+    if separable_in(model) is not None or isinstance(model, BlackBoxModel):
+        return None
+    if not callable(getattr(model, "frequencies", None)):
+        raise ArgumentError(
+            "model",
+            "must be a SeparableModel, a BlackBoxModel or an object with frequencies(theta), "
+            "n_parameters and n_modes",
+            shown(model),
+        )
+    return as_modal_model(cast("Any", model), n_sensors)
+
+
 def paired_model(
     model: Model,
     data: ModalData,
@@ -76,20 +94,10 @@ def paired_model(
         If the model does not fit the parameters, the data or the pairing.
     """
     structure, function = separable_in(model), model if isinstance(model, BlackBoxModel) else None
-    if structure is None and function is None and not callable(getattr(model, "frequencies", None)):
-        raise ArgumentError(
-            "model",
-            "must be a SeparableModel, a BlackBoxModel or an object with frequencies(theta), "
-            "n_parameters and n_modes",
-            shown(model),
-        )
+    shapes = None if data.shapes is None else np.asarray(data.shapes)
+    paired: Any = modal_model_in(model, 0 if shapes is None else len(shapes))
     if pairing == SOFT and structure is None:
         raise ArgumentError("pairing", "soft needs a SeparableModel, with slopes of shapes", type(model).__name__)
-    shapes = None if data.shapes is None else np.asarray(data.shapes)
-    given: Any = model
-    paired: Any = None
-    if structure is None and function is None:
-        paired = as_modal_model(given, 0 if shapes is None else len(shapes))
     n, n_tests = len(parameters), 1 if paired is None else paired.n_tests
     if model.n_parameters != n * n_tests:
         raise ArgumentError("parameters", f"the model takes {model.n_parameters // n_tests}", n)

@@ -375,3 +375,12 @@ def test_errors_of_shapes(theta, function):
 def test_errors_of_shapes_need_shapes():
     with pytest.raises(ValueError, match=r"^error: errors of shapes need a model that gives shapes"):
         fmu.UpdatingProblem(BlackBoxModel(frequencies, 2), DATA, PARAMETERS, error=fmu.ShapeErrors(sd=0.05))
+
+
+def test_modes_that_are_paired_by_number_need_numbers_of_their_own():
+    """By MAC, the numbers are not used."""
+    data = fmu.ModalData(DATA.frequencies_hz, numbers=(2, 2), sensors=DATA.sensors, shapes=DATA.shapes)
+    assert problem(BlackBoxModel(everything, 2), data).model.by_shape
+    for function, settings in ((frequencies, {}), (everything, {"pairing": "index"})):
+        with pytest.raises(ValueError, match=r"^numbers: must be distinct, one per mode, .* \(got \(2, 2\)\)$"):
+            problem(BlackBoxModel(function, 2), data, **settings)

@@ -246,20 +246,23 @@ class PartialModel(ModalModel):
     Parameters
     ----------
     whole : ModalModel
-        A model that gives shapes.
     modes, rows : sequence of int
         Indices of these modes and sensors.
     """
-
-    gives_shapes = True
 
     def __init__(self, whole: ModalModel, modes: Sequence[int], rows: Sequence[int]) -> None:
         self.whole, self.name, self.structure = whole, whole.name, whole.structure
         self.functions, self.by_shape = whole.functions, whole.by_shape
         self.n_parameters, self.n_modes = whole.n_parameters, len(modes)
+        self.gives_shapes = whole.gives_shapes
         self.solves_per_gradient = whole.solves_per_gradient
         self.solves_per_shape_gradient = whole.solves_per_shape_gradient
         self._modes, self._rows = list(modes), list(rows)
+
+    @property
+    def reasons(self) -> Sequence[Failure]:
+        """Failures that the whole model has recorded."""
+        return self.whole.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""

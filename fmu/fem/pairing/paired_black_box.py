@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.arguments import ArgumentError, first_repeated
 from fmu.differences import both_sides
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import mac
@@ -82,9 +83,9 @@ class PairedBlackBox(ModalModel):
         Raises
         ------
         ValueError
-            If the pairing is unknown or, at the starting point, the function fails, gives too few modes or invalid
-            frequencies, does not reproduce a stored result, or gives shapes that are not finite or do not fit the
-            sensors although modes are paired by MAC.
+            If the pairing is unknown, or modes are paired by number and two have the same one. If, at the starting
+            point, the function fails, gives too few modes or invalid frequencies, does not reproduce a stored
+            result, or gives shapes that are not finite or do not fit the sensors although modes are paired by MAC.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -96,6 +97,9 @@ class PairedBlackBox(ModalModel):
             raise ValueError(f"{black_box.place}: {error} at the start {start.tolist()}") from error
         except ValueError as error:
             raise ValueError(f"{black_box.place}: {error}") from error
+        if not paired.by_shape and first_repeated(paired.numbers) is not None:
+            rule = "must be distinct, one per mode, as modes of the function are paired by number"
+            raise ArgumentError("numbers", rule, paired.numbers)
         return paired
 
     def __repr__(self) -> str:

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from fmu.arguments import first_repeated
 from fmu.fem.modes.changes import changed_model
 from fmu.fem.modes.separable import separable_in
-from fmu.fem.pairing.modal_model import Model
+from fmu.fem.pairing.modal_model import Model, PartialModel
+from fmu.posterior.build import modal_model_in
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.picked_modes import PICKED_SD
 from fmu.posterior.data.repeated import mean_shapes
@@ -93,10 +95,12 @@ def find_configurations(
 
     The tolerance is the one of the last configuration, or None if its model is not reduced. The first `of_model`
     structural parameters are parameters of the model. Raise TestsError if a test has changes or known values and
-    the model has no matrices, if they do not fit the model, or if tests in one configuration contradict each
-    other; raise ValueError as `UpdatingProblem.reduced` does.
+    the model has no matrices, if they do not fit the model, if tests in one configuration contradict each other,
+    or if the tests do not have the modes of a model that pairs its modes itself; raise ValueError as
+    `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]
+    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None
     lower, upper = layout.box()
@@ -120,7 +124,18 @@ def find_configurations(
         parameters = [
             over(layout.structural[j], float(lower[here, j].min()), float(upper[here, j].max())) for j in kept
         ]
-        data, modes = _together([tests[t] for t in here])
+        data, modes = _together({t: tests[t] for t in here})
+        n_sensors = 0 if data.shapes is None else len(data.sensors)
+        paired = modal_model_in(changed, n_sensors)
+        is_function = paired is None and separable_in(changed) is None
+        if (options["pairing"] == "index" and paired is None) or (is_function and data.shapes is None):
+            where = {label: t for t in reversed(here) for label in tests[t].data.labels}
+            _check_distinct("number", data.numbers, data.labels, [where[label] for label in data.labels])
+        if paired is not None and paired.n_modes != len(labels):
+            rule = f"must together have the {paired.n_modes} modes of the model, in its order"
+            raise TestsError([f"tests: {rule} (got {len(labels)}: {', '.join(labels)})"])
+        if paired is not None and list(data.labels) != labels:
+            changed = PartialModel(paired, [labels.index(label) for label in data.labels], range(n_sensors))
         alone = UpdatingProblem.reduced(changed, data, parameters, **options)
         tolerance = alone.tolerance
         distinct, rows = layout.distinct(here, kept)
@@ -140,23 +155,41 @@ def find_configurations(
     return found, tolerance
 
 
-def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
+def _check_distinct(what: str, values: Sequence[int], labels: Sequence[str], where: Sequence[int]) -> None:
+    """Raise TestsError if two modes have the same number or counterpart, as `what` says.
+
+    `values`, `labels` and `where` have an entry for each mode: the number or counterpart, the label, and the index
+    of the first test that gives the value.
+    """
+    later = first_repeated(values)
+    if later is None:
+        return
+    first = values.index(values[later])
+    rule = f"mode {labels[later]!r} must not have the {what} of mode {labels[first]!r} in tests.{where[first]}"
+    advice = f"give each its own {what} or, if they are one mode, the same label"
+    raise TestsError([f"tests.{where[later]}.{what}s: {rule} (got {values[later]} for both); {advice}"])
+
+
+def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
     """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
 
-    Frequencies and shapes are means over the tests. A mode's standard deviation is the smallest in any test. There
-    are no shapes unless every mode has one, and no standard deviations unless every mode has one. Raise TestsError
-    if a mode has different numbers or counterparts in two tests, or if only some of the modes have counterparts.
+    The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
+    A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no
+    standard deviations unless every mode has one. Raise TestsError if a mode has different numbers or counterparts
+    in two tests, if only some of the modes have counterparts, or if two modes have the same counterpart.
     """
+    tests = list(of.values())
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
     frequencies = np.full((len(tests), len(labels)), np.nan)
     sd = np.full_like(frequencies, np.nan)
     numbers: dict[int, int] = {}
     counterparts: dict[int, int] = {}
+    given_in: dict[tuple[str, int], int] = {}
     sensors = tests[0].data.sensors
     shapes = np.full((len(tests), len(sensors), len(labels)), np.nan)
     shapes_sd = np.full_like(shapes, np.nan)
-    for t, (test, own) in enumerate(zip(tests, modes, strict=True)):
+    for t, (number, test, own) in enumerate(zip(of, tests, modes, strict=True)):
         data = test.data
         frequencies[t, own] = data.frequencies_hz
         if data.sd_hz is not None or data.covariance_hz2 is not None:
@@ -170,13 +203,18 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
             ("counterpart", counterparts, data.counterparts),
         ):
             for mode, value in zip(own.tolist(), given, strict=False):
+                first = given_in.setdefault((name, mode), number)
                 if known.setdefault(mode, value) != value:
-                    raise TestsError(
-                        [f"tests: mode {labels[mode]!r} must have one {name} (got {known[mode]} and {value})"]
+                    rule = (
+                        f"mode {labels[mode]!r} must have the {name} that it has in tests.{first}, {known[mode]}"
                     )
-    lacking = [label for k, label in enumerate(labels) if counterparts and k not in counterparts]
+                    raise TestsError([f"tests.{number}.{name}s: {rule} (got {value})"])
+    lacking = [k for k in range(len(labels)) if counterparts and k not in counterparts]
     if lacking:
-        raise TestsError([f"tests: mode {lacking[0]!r} must have a counterpart, as other modes have (got none)"])
+        rule = f"mode {labels[lacking[0]]!r} must have a counterpart, as other modes have"
+        raise TestsError([f"tests.{given_in['number', lacking[0]]}.counterparts: {rule} (got none)"])
+    of_modes = tuple(counterparts[k] for k in range(len(labels))) if counterparts else ()
+    _check_distinct("counterpart", of_modes, labels, [given_in["counterpart", k] for k in range(len(of_modes))])
     seen = ~np.isnan(shapes).all(axis=(0, 1))
     has_shapes = bool(len(sensors)) and bool(seen.all())
     has_sd = has_shapes and not np.isnan(shapes_sd).all(axis=0).any()
@@ -190,6 +228,6 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
         shapes=mean_shapes(shapes, least_mac=0.0) if has_shapes else None,
         shapes_sd=np.nanmin(shapes_sd, axis=0) if has_sd else None,
         sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
-        counterparts=tuple(counterparts[k] for k in range(len(labels))) if counterparts else (),
+        counterparts=of_modes,
     )
     return data, modes

@@ -157,3 +157,13 @@ def test_a_coarser_model_of_all_tests():
     assert coarse.log_prob(theta) != problem.log_prob(theta)
     np.testing.assert_allclose(coarse.frequencies(theta), problem.frequencies(theta), rtol=0.01)
     assert problem.coarser(1.0).model is problem.model
+
+
+def test_modes_of_a_function_with_one_number_are_told_with_their_tests():
+    data = [fmu.ModalData([1.0, 2.0], sd_hz=0.02, labels=labels) for labels in (("one", "two"), ("one", "three"))]
+    tests = [fmu.Test(f"test {t}", one) for t, one in enumerate(data)]
+    rule = (
+        r"^tests\.1\.numbers: mode 'three' must not have the number of mode 'two' in tests\.0 \(got 2 for both\)"
+    )
+    with pytest.raises(ValueError, match=rule):
+        fmu.JointProblem(fmu.BlackBoxModel(Function(), 1), tests, [fmu.Parameter("a", 1.0, 0.5, 2.0)])

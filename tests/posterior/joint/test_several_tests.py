@@ -210,15 +210,81 @@ def test_shapes_that_cannot_be_compared_are_told(building):
         fmu.JointProblem(building, known, [K1, K2])
 
 
-@pytest.mark.parametrize(("key", "word"), [("numbers", "number"), ("counterparts", "counterpart")])
+BY_KEY = pytest.mark.parametrize(("key", "word"), [("numbers", "number"), ("counterparts", "counterpart")])
+
+
+def contradiction(model, key, *given):
+    """Return the message about tests with the given labels, and the given numbers or counterparts.
+
+    A test with other sensors comes before them. It has all labels, and therefore a mode in common with each.
+    """
+    every = list(dict.fromkeys(label for labels, _ in given for label in labels))
+    first = fmu.ModalData(1.0 + np.arange(len(every)), sensors=SENSORS[:1], sd_hz=0.1, labels=tuple(every))
+    tests = [fmu.Test("first", first)]
+    for labels, of in given:
+        data = fmu.ModalData(1.0 + np.arange(len(of)), sensors=SENSORS, sd_hz=0.1, labels=labels, **{key: of})
+        tests.append(fmu.Test(f"t{len(tests)}", data))
+    with pytest.raises(TestsError) as told:
+        fmu.JointProblem(model, tests, [K1, K2], pairing="index", reduction=False)
+    return str(told.value)
+
+
+@BY_KEY
 def test_tests_that_disagree_on_a_mode_are_told_on_what(building, key, word):
-    f = frequencies((2e6, 2e6))
+    said = contradiction(building, key, (("p", "q"), (1, 2)), (("p", "q"), (2, 1)))
+    assert said == f"tests.2.{key}: mode 'p' must have the {word} that it has in tests.1, 1 (got 2)"
+
+
+@BY_KEY
+def test_modes_with_one_number_or_counterpart_are_told_with_their_tests(key, word):
+    three = shear_building(["k1", "k2", "k2"], mass=np.diag([1000.0] * 3))
+    said = contradiction(three, key, (("p", "q"), (1, 2)), (("p", "r"), (1, 2)))
+    rule = f"mode 'r' must not have the {word} of mode 'q' in tests.1 (got 2 for both)"
+    advice = f"give each its own {word} or, if they are one mode, the same label"
+    assert said == f"tests.2.{key}: {rule}; {advice}"
+
+
+def test_a_mode_without_a_counterpart_is_told_with_its_test(building):
+    f = np.array([4.0, 10.0])
+    one = fmu.ModalData(f, sd_hz=0.1, labels=("p", "q"), counterparts=(1, 2))
+    two = fmu.ModalData(f, sd_hz=0.1, labels=("p", "r"))
+    with pytest.raises(TestsError, match=r"^tests\.1\.counterparts: mode 'r' must have a counterpart"):
+        fmu.JointProblem(building, [fmu.Test("one", one), fmu.Test("two", two)], [K1, K2])
+
+
+class PairedModes:
+    """A user's model that pairs its modes itself: p, q and r."""
+
+    n_parameters, n_modes = 2, 3
+
+    def frequencies(self, theta):
+        return np.stack([theta[:, 0], theta[:, 1], theta.sum(axis=1)], axis=1)
+
+    def frequencies_and_gradient(self, theta):
+        gradient = np.tile(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), (len(theta), 1, 1))
+        return self.frequencies(theta), gradient
+
+
+def of_user(*labels):
+    """Return the joint problem of a user's model for tests with the given labels and different sensors."""
+    known = {"p": 1.0, "q": 2.0, "r": 3.0, "s": 4.0}
     tests = [
-        fmu.Test(name, fmu.ModalData(f, sensors=SENSORS, sd_hz=0.01 * f, **{key: of}))
-        for name, of in (("a", (1, 2)), ("b", (2, 1)))
+        fmu.Test(f"t{t}", fmu.ModalData([known[one] for one in own], labels=own, sd_hz=0.1, sensors=SENSORS[:t]))
+        for t, own in enumerate(labels)
     ]
-    with pytest.raises(TestsError, match=rf"tests: mode '1' must have one {word} \(got 1 and 2\)"):
-        fmu.JointProblem(building, tests, [K1, K2])
+    return fmu.JointProblem(PairedModes(), tests, [fmu.Parameter(name, 1.5, 0.5, 4.0) for name in "ab"])
+
+
+def test_a_users_paired_model_gives_each_test_its_own_modes():
+    problem = of_user(("p", "q"), ("r", "p"), ("q", "r", "p"))
+    theta = np.array([1.1, 2.3])
+    assert_allclose(problem.frequencies(theta), [1.1, 2.3, 3.4, 1.1, 2.3, 3.4, 1.1], rtol=1e-14)
+    assert_gradient(problem.log_prob_and_grad(theta)[1], problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-6)
+    few = r"^tests: must together have the 3 modes of the model, in its order \(got 2: p, q\)$"
+    with pytest.raises(TestsError, match=few):
+        of_user(("p", "q"), ("q",))
+    with pytest.raises(TestsError, match=r"\(got 4: p, q, r, s\)"):
+        of_user(("p", "q", "r"), ("p", "s"))
 
 
 def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
