@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fmu.analysis.convergence.effective import mcse_sd
-from fmu.analysis.convergence.growth import meets_criterion
-from fmu.analysis.convergence.remedies import fewest
-from fmu.analysis.trace.reading import parameter_draws, walkers_of
+from fmu.analysis.convergence.remedies import fewest, meets_criterion, rhat_excess, without_scores
+from fmu.analysis.trace.reading import array_of, walkers_of
 from fmu.numbers import fixed, names_in_words, significant
 from fmu.types import FloatArray
 
@@ -50,7 +49,8 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
     """Compare posterior means and standard deviations between all pairs of runs that meet the criterion.
 
     Runs agree if no difference reaches `CLOSE` standard errors. Only R-hat and ESS decide which runs are compared,
-    not their verdicts: if two runs each seem to have converged but differ, at least one of them is wrong.
+    not their verdicts: if two runs each seem to have converged but differ, at least one of them is wrong. Test
+    scores are not compared, because their standard errors are not tested.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
     also = f" Left out: {names_in_words(left_out)}, with too few effective draws." if left_out else ""
     if len(sufficient) < 2:
         return Agreement(None, np.nan, f"Fewer than two samplers can be compared.{also}", left_out)
-    estimates = {name: _estimates(traces[name], summaries[name]) for name in sufficient}
+    compared = {name: without_scores(summaries[name]) for name in sufficient}
+    estimates = {name: _estimates(traces[name], table) for name, table in compared.items()}
     z, kind, k, (one, other) = 0.0, 0, 0, sufficient[:2]
     for pair in combinations(sufficient, 2):
         (first, error), (second, error_too) = (estimates[name] for name in pair)
@@ -72,10 +73,10 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
         if ratio.max() > z:
             z, (one, other) = float(ratio.max()), pair
             kind, k = (int(i) for i in np.unravel_index(np.argmax(ratio), ratio.shape))
-    sd = float(summaries[one]["sd"].iloc[k])
+    sd = float(compared[one]["sd"].iloc[k])
     apart = significant(abs(estimates[one][0][kind, k] - estimates[other][0][kind, k]) / sd, 2)
-    what = f"{('mean', 'sd')[kind]} of {summaries[one].index[k]}, {one} and {other}: {apart} posterior sd"
-    n = len(sufficient) * (len(sufficient) - 1) * len(summaries[one])
+    what = f"{('mean', 'sd')[kind]} of {compared[one].index[k]}, {one} and {other}: {apart} posterior sd"
+    n = len(sufficient) * (len(sufficient) - 1) * len(compared[one])
     if z < CLOSE:
         said = f"The {len(sufficient)} samplers agree: of {n} differences of their means and sds the largest is "
         return Agreement(True, z, f"{said}{fixed(z, 1)} Monte Carlo standard errors ({what}).{also}", left_out)
@@ -84,16 +85,14 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
 
 
 def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
-    """Return True if a run's R-hat and ESS meet the convergence criterion. Test scores count for R-hat only."""
-    return meets_criterion(
-        float(np.max(table["rhat"].to_numpy())), fewest(table), trace["posterior"].sizes["chain"]
-    )
+    """Return True if a run's R-hat and ESS meet the convergence criterion."""
+    return meets_criterion(rhat_excess(table), fewest(table), trace["posterior"].sizes["chain"])
 
 
 def _estimates(trace: xr.DataTree, table: pd.DataFrame) -> tuple[FloatArray, FloatArray]:
-    """Return each parameter's posterior mean and standard deviation, and their Monte-Carlo standard errors.
+    """Return the posterior means and standard deviations in a summary, and their Monte-Carlo standard errors.
 
-    Both arrays have shape (2, ndim).
+    Both arrays have shape (2, n), where n is the number of rows.
     """
-    errors = [mcse_sd(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]
+    errors = [mcse_sd(array_of(trace, "posterior", name), walkers_of(trace)) for name in table.index]
     return table[["mean", "sd"]].to_numpy().T, np.array([table["mcse_mean"].to_numpy(), errors])

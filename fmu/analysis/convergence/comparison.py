@@ -163,7 +163,8 @@ def costs_side_by_side(
         - ``search_solves``: solves of the search for maxima, which all samplers share and which is part of each
           sampler's cost; zero if unknown;
         - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01, and bulk
-          and tail ESS were at least 400 and at least 100 per chain; NaN if this was never reached;
+          and tail ESS were at least 400 and at least 100 per chain (test scores: R-hat below 1.05, any ESS); NaN
+          if this was never reached;
         - ``total_solves``: search, warm-up and all draws;
         - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter; NaN if its ESS is
           undefined;
@@ -205,8 +206,8 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
     """Return sentences that compare two costs of each ensemble sampler, in solves.
 
     The first is the cost until R-hat and ESS met the criterion, the second the total cost. Each sentence also says
-    whether the run then passed the further tests of an ensemble, which `converged` gives by name. The text is
-    empty if no trace is from an ensemble sampler.
+    whether the run had then converged, which `converged` gives by name. The last sentence names the further tests
+    of an ensemble. The text is empty if no trace is from an ensemble sampler.
     """
     said = []
     for name, trace in traces.items():
@@ -216,9 +217,13 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
         met = (
             f"met the criterion after {about_solves(first)} solves" if first > 0 else "did not meet the criterion"
         )
-        passed = f"{'passed' if converged[name] else 'had not passed'} after {about_solves(total)}"
-        own = f"{MIN_AUTOCORRELATION_TIMES} autocorrelation times, R-hat over walkers below {WALKER_RHAT_LIMIT}"
-        said.append(f"{name} {met}; the further tests of an ensemble ({own}) it {passed}.")
+        word = "had" if converged[name] else "had not"
+        said.append(f"{name} {met}; it {word} converged after {about_solves(total)}.")
+    if said:
+        said.append(
+            f"To converge, an ensemble must also be {MIN_AUTOCORRELATION_TIMES} autocorrelation times long and "
+            f"have an R-hat over walkers below {WALKER_RHAT_LIMIT}."
+        )
     return " ".join(said)
 
 

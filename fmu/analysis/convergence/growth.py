@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fmu.analysis.convergence.effective import MOST_RANKED, apart, ess_bulk, ess_tail, lengths, rhat
-from fmu.analysis.convergence.remedies import RHAT_LIMIT, required_ess
-from fmu.analysis.trace.reading import array_of, has, in_solves, parameter_draws, walkers_of
+from fmu.analysis.convergence.remedies import meets_criterion, rhat_limits
+from fmu.analysis.trace.reading import (
+    array_of,
+    has,
+    in_solves,
+    parameter_draws,
+    parameter_names,
+    score_names,
+    walkers_of,
+)
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -30,26 +38,23 @@ class Growth(NamedTuple):
         Cost of these draws in solves, including the warm-up but not the search for maxima; an exact gradient
         counts as ``gradient_cost`` solves.
     ess : ndarray, shape (n,)
-        The smaller of bulk and tail ESS.
-    rhat : ndarray, shape (n,)
+        The smaller of bulk and tail ESS. Test scores are ignored.
+    excess : ndarray, shape (n,)
+        Largest (R-hat − 1)/(limit − 1), as `fmu.analysis.convergence.remedies.rhat_excess`.
     """
 
     steps: IntArray
     solves: FloatArray
     ess: FloatArray
-    rhat: FloatArray
-
-
-def meets_criterion(rhat_max: float, ess_min: float, chains: int) -> bool:
-    """Return True if R-hat and ESS meet the convergence criterion, which is the same for all samplers."""
-    return rhat_max < RHAT_LIMIT and ess_min >= required_ess(chains)
+    excess: FloatArray
 
 
 def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
     """Return R-hat, ESS and cost over the first draws of a run, for increasing numbers of draws.
 
     R-hat of more than 10 000 draws per chain is computed from every k-th draw, at most 2000 per chain. R-hat and
-    ESS are NaN if they are undefined for any parameter.
+    ESS are NaN if they are undefined for any parameter. As in the verdict, test scores have a higher limit of
+    R-hat than the other parameters, and their ESS is not tested.
 
     Parameters
     ----------
@@ -59,15 +64,17 @@ def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
+    names, scores = parameter_names(trace), score_names(trace)
+    allowed, of_ess = rhat_limits(names, scores) - 1.0, ~np.isin(names, scores)
     at = lengths(draws.shape[2] // walkers) if at is None else at
     spent = _cumulative(trace, walkers)
-    ess, ranked = np.empty(len(at)), np.empty(len(at))
+    ess, excess = np.empty(len(at)), np.empty(len(at))
     for k, steps in enumerate(at):
         first = draws[..., : steps * walkers]
         distance = apart(steps * walkers, MOST_RANKED, walkers) if steps * walkers > _RANKED_IN_FULL else 1
-        ranked[k] = np.max([rhat(x[:, ::distance]) for x in first])
-        ess[k] = np.min([min(ess_bulk(x, walkers), ess_tail(x, walkers)) for x in first])
-    return Growth(at, spent[at - 1], ess, ranked)
+        excess[k] = np.max((np.array([rhat(x[:, ::distance]) for x in first]) - 1.0) / allowed)
+        ess[k] = np.min([min(ess_bulk(x, walkers), ess_tail(x, walkers)) for x in first[of_ess]])
+    return Growth(at, spent[at - 1], ess, excess)
 
 
 def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
@@ -104,7 +111,7 @@ def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> floa
     """
     grown = growth(trace) if grown is None else grown
     chains = trace["posterior"].sizes["chain"]
-    met = [meets_criterion(*both, chains) for both in zip(grown.rhat, grown.ess, strict=True)]
+    met = [meets_criterion(*both, chains) for both in zip(grown.excess, grown.ess, strict=True)]
     if not any(met):
         return np.nan
     k = met.index(True)
@@ -114,7 +121,7 @@ def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> floa
         if middle == low:
             break
         found = growth(trace, np.array([middle]))
-        if meets_criterion(found.rhat[0], found.ess[0], chains):
+        if meets_criterion(found.excess[0], found.ess[0], chains):
             high, solves = middle, float(found.solves[0])
         else:
             low = middle

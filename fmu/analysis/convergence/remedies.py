@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -60,6 +61,11 @@ def _is_score(table: pd.DataFrame) -> BoolArray:
     return np.asarray(table.index.isin(table.attrs.get("scores", [])))
 
 
+def rhat_limits(names: Sequence[str] | pd.Index, scores: Sequence[str]) -> FloatArray:
+    """Return the limit below which each parameter's R-hat must be, shape (n,): 1.01, or 1.05 for a test score."""
+    return np.where(np.isin(names, scores), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT)
+
+
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
     """Return the factor by which the number of draws must grow until ESS and standard errors suffice.
 
@@ -99,8 +105,23 @@ def rhat_excess(table: pd.DataFrame) -> float:
 
     It exceeds 1 if an R-hat exceeds its limit.
     """
-    allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
-    return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
+    limits = rhat_limits(table.index, table.attrs.get("scores", []))
+    return float(np.max((table["rhat"].to_numpy() - 1.0) / (limits - 1.0)))
+
+
+def meets_criterion(excess: float, ess_min: float, chains: int) -> bool:
+    """Return True if R-hat and ESS meet the convergence criterion, which is the same for all samplers.
+
+    Parameters
+    ----------
+    excess : float
+        `rhat_excess` of the run's summary.
+    ess_min : float
+        `fewest` effective draws in it.
+    chains : int
+        Number of chains, or of ensembles.
+    """
+    return excess < 1.0 and ess_min >= required_ess(chains)
 
 
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.convergence.diagnostics import summary
-from fmu.analysis.convergence.growth import Growth, growth, meets_criterion
-from fmu.analysis.convergence.remedies import fewest, required_ess
+from fmu.analysis.convergence.growth import Growth, growth
+from fmu.analysis.convergence.remedies import fewest, meets_criterion, required_ess
 from fmu.analysis.trace.reading import array_of, parameter_names
 from fmu.numbers import fixed
 from fmu.report.plots import style
@@ -207,7 +207,7 @@ def plot_growth(
             trace["posterior"].sizes["chain"],
         )
         axes.plot(search + run.solves, run.ess, color=shade, linewidth=1.6, label=style.literal(label))
-        met = [meets_criterion(*both, chains) for both in zip(run.rhat, run.ess, strict=True)]
+        met = [meets_criterion(*both, chains) for both in zip(run.excess, run.ess, strict=True)]
         if any(met):
             k = met.index(True)
             axes.plot(search + run.solves[[k]], run.ess[[k]], marker="o", markersize=6, color=shade,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.effective import energy_fraction
-from fmu.analysis.convergence.remedies import MCSE_OF_ENDS
+from fmu.analysis.convergence.remedies import MCSE_OF_ENDS, rhat_limits
 from fmu.analysis.trace.reading import array_of, has, parameter_draws
 from fmu.numbers import decimals, fixed, given, interval, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
@@ -98,16 +98,18 @@ def paths(run: ReportedRun) -> PageSection:
 
 
 def _agreement(run: ReportedRun) -> str:
-    """Return a sentence that says whether the chains agree, and gives the largest R-hat.
+    """Return a sentence that says whether the chains agree, and gives the R-hat that is worst for its limit.
 
     If a parameter's R-hat is NaN or infinite, the sentence says that the agreement is unknown.
     """
     rhat = run.summary["rhat"].fillna(np.inf)
-    name, worst = str(rhat.idxmax()), float(rhat.max())
+    limits = rhat_limits(rhat.index, run.summary.attrs.get("scores", []))
+    k = int(np.argmax((rhat.to_numpy() - 1.0) / (limits - 1.0)))
+    name, worst, limit = str(rhat.index[k]), float(rhat.iloc[k]), float(limits[k])
     if not np.isfinite(worst):
         return f"Whether the chains agree is unknown: {name} has no R-hat."
-    agree = "The chains agree" if worst < RHAT_LIMIT else "The chains do not agree"
-    return f"{agree}: R-hat is at most {fixed(worst, 4)}, in {name}; below {given(RHAT_LIMIT)} is needed."
+    agree = "The chains agree" if worst < limit else "The chains do not agree"
+    return f"{agree}: the worst R-hat is {fixed(worst, 4)}, in {name}; below {given(limit)} is needed."
 
 
 def _slowest(run: ReportedRun) -> str:

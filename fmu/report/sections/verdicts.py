@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
-from fmu.analysis.convergence.remedies import required_ess
+from fmu.analysis.convergence.remedies import required_ess, without_scores
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information, not_informed, why_unknown
 from fmu.analysis.prediction import at_bounds, pinned_parameters
@@ -164,8 +164,8 @@ def convergence(run: ReportedRun) -> Verdict:
     A converged run counts only as locally converged if it may have missed maxima.
     """
     question = "Can the run be trusted?"
-    rhat, needed = float(run.summary["rhat"].max()), required_ess(run.trace["posterior"].sizes["chain"])
-    ess = float(run.summary[["ess_bulk", "ess_tail"]].min().min())
+    table, needed = without_scores(run.summary), required_ess(run.trace["posterior"].sizes["chain"])
+    rhat, ess = float(table["rhat"].max()), float(table[["ess_bulk", "ess_tail"]].min().min())
     said = (
         f"R-hat at most {fixed(rhat, 4)} (below {given(RHAT_LIMIT)} needed), at least {fixed(ess, 0)} effective "
         f"draws ({given(needed)} needed)."

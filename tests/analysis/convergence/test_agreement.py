@@ -44,6 +44,24 @@ def test_a_spread_that_differs_turns_it_too(make_trace, draws):
     assert "sd of x0" in found.sentence
 
 
+def test_scores_of_tests_are_not_compared(make_trace, draws):
+    """Their standard errors are not tested, and pages of many tests leave their draws out."""
+    draws[1][..., 1] += 0.5
+    draws[1][..., 1] += 0.2 * np.arange(4)[:, None]  # an R-hat of 1.02
+    traces = {name: make_trace(x) for name, x in zip("ab", draws, strict=False)}
+    for trace in traces.values():
+        roles = {"role": ["mean", "score"], "role_of": ["x", "x"], "role_where": ["", "t1"]}
+        constants = trace["constant_data"].to_dataset()
+        trace["constant_data"] = constants.assign({name: ("parameter", column) for name, column in roles.items()})
+    summaries = {name: summary(trace) for name, trace in traces.items()}
+    found = agreement(traces, summaries)
+    assert found.agrees
+    assert "The 2 samplers agree: of 2 differences" in found.sentence
+    for trace in traces.values():
+        trace["posterior"] = trace["posterior"].to_dataset()[["x0"]]
+    assert agreement(traces, summaries) == found
+
+
 def test_a_run_with_too_few_draws_is_left_out_and_named(make_trace, draws):
     draws[2] = draws[2][:, :50] + 3.0
     found = of(make_trace, *draws)

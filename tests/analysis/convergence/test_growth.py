@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from fmu.analysis.convergence.comparison import at_both_points, cost_rows, costs_side_by_side
-from fmu.analysis.convergence.diagnostics import summary
-from fmu.analysis.convergence.growth import growth, meets_criterion, solves_to_criterion
+from fmu.analysis.convergence.diagnostics import convergence_failures, summary
+from fmu.analysis.convergence.growth import growth, solves_to_criterion
+from fmu.analysis.convergence.remedies import meets_criterion, rhat_excess
 from fmu.analysis.trace.conversion import to_trace
 
 OF_WARMUP, A_STEP = 4 * 2, 4  # the fixture's warm-up, and a draw of each of four chains
@@ -25,18 +26,18 @@ def slow(make_trace):
 
 
 def test_it_is_r_hat_and_both_sizes_whatever_the_sampler():
-    assert meets_criterion(1.0099, 400.0, 4)
-    assert not meets_criterion(1.01, 400.0, 4)
-    assert not meets_criterion(1.0, 399.9, 4)
+    assert meets_criterion(0.99, 400.0, 4)
+    assert not meets_criterion(1.0, 400.0, 4)
+    assert not meets_criterion(0.0, 399.9, 4)
     assert not meets_criterion(np.nan, 500.0, 4)
-    assert not meets_criterion(1.0, 500.0, 8)  # a hundred per chain
+    assert not meets_criterion(0.0, 500.0, 8)  # a hundred per chain
 
 
 def test_the_last_length_is_the_whole_run(slow):
     grown, table = growth(slow), summary(slow)
     assert grown.steps[-1] == 2000
     assert grown.ess[-1] == table[["ess_bulk", "ess_tail"]].to_numpy().min()
-    assert grown.rhat[-1] == table["rhat"].max()
+    assert grown.excess[-1] == rhat_excess(table) == (table["rhat"].max() - 1.0) / (1.01 - 1.0)
     assert grown.solves[-1] == slow.attrs["n_solves"] + slow.attrs["warmup_n_solves"]
     assert np.all(np.diff(grown.solves) > 0)
 
@@ -45,11 +46,11 @@ def test_the_first_length_that_meets_it_is_found_between_two(slow):
     solves = solves_to_criterion(slow)
     steps = int((solves - 3 * OF_WARMUP) / (3 * A_STEP))
     grown = growth(slow)
-    met = [meets_criterion(r, e, 4) for r, e in zip(grown.rhat, grown.ess, strict=True)]
+    met = [meets_criterion(r, e, 4) for r, e in zip(grown.excess, grown.ess, strict=True)]
     k = met.index(True)
     assert grown.steps[k - 1] < steps <= grown.steps[k]
     found = growth(slow, np.array([steps]))
-    assert meets_criterion(found.rhat[0], found.ess[0], 4)
+    assert meets_criterion(found.excess[0], found.ess[0], 4)
     assert found.solves[0] == solves
 
 
@@ -79,4 +80,28 @@ def test_everything_is_counted_and_the_baseline_is_one(make_result, plain, slow)
         assert table.loc["hmc", ratio] == table.loc["hmc", column] / table.loc["emcee", column]
     said = at_both_points(table, {"hmc": True, "emcee": False}, {"hmc": slow, "emcee": emcee})
     assert said.startswith("emcee met the criterion after ")
-    assert "it had not passed after 38 600." in said
+    assert "it had not converged after 38 600. To converge, an ensemble must also be 50 autocorr" in said
+    assert at_both_points(table, {"hmc": True}, {"hmc": slow}) == ""
+
+
+@pytest.mark.parametrize("role", ["value", "score"])
+def test_scores_of_tests_count_as_in_the_verdict(make_trace, role):
+    """Their R-hat may be up to 1.05, and their ESS is not asked for."""
+    draws = np.random.default_rng(9).standard_normal((4, 600, 2))
+    draws[:, :, 1] = draws[:, :, 1].repeat(6, axis=1)[:, :600] + 0.2 * np.arange(4)[:, None]
+    trace = make_trace(draws)
+    roles = (
+        trace["constant_data"]
+        .to_dataset()
+        .assign(
+            role=("parameter", ["mean", role]),
+            role_of=("parameter", ["x", "x"]),
+            role_where=("parameter", ["", "t1"]),
+        )
+    )
+    trace["constant_data"] = roles
+    assert 1.01 < summary(trace)["rhat"]["x1"] < 1.05
+    reasons = [said for said in convergence_failures(trace) if said.startswith("x1")]
+    grown = growth(trace)
+    assert (reasons == []) == np.isfinite(solves_to_criterion(trace)) == (role == "score")
+    assert (grown.ess[-1] >= 400) == (role == "score")

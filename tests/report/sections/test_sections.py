@@ -276,6 +276,16 @@ def test_samplers_agree_or_one_is_wrong(shift, answer, plain_traces):
     assert "one and two" in agree.said
 
 
+def test_the_page_judges_scores_of_tests_as_the_verdict_does(hmc):
+    summary = hmc.summary.assign(rhat=1.001, ess_bulk=900.0, ess_tail=900.0)
+    summary.loc["E2", ["rhat", "ess_bulk"]] = 1.03, 50.0
+    summary.attrs["scores"] = ["E2"]
+    run = replace(hmc, summary=summary)
+    assert convergence(run).said.startswith("R-hat at most 1.0010 (below 1.01 needed), at least 900 effective")
+    said = chains.paths(run).parts[0].words
+    assert said == "The chains agree: the worst R-hat is 1.0300, in E2; below 1.05 is needed."
+
+
 def test_samplers_with_too_few_draws_are_not_compared(plain_traces):
     found = comparison.Compared.of(runs_of(plain_traces))
     agree, trust, cost = comparison.verdicts_on_samplers(found)
