@@ -6,13 +6,17 @@ come from one fixed, valid kernel.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fmu.samplers.kernel import Info, State, Tree
 from fmu.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from fmu.samplers.mixture.warp import Warp
 
 LAG = 10.0
 """Largest difference between the log-density of a chain in the bulk and the value that at least half of the
@@ -152,10 +156,22 @@ class Learner:
     ----------
     covariance : ndarray, shape (ndim, ndim), or None
         Covariance from the last window whose draws gave one; None if no window has.
+    warp : Warp or None
+        Coordinates of this covariance; None for the coordinates of the draws.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    ndim : int
+    choose_warp : callable, optional
+        Returns the warp for draws (n, ndim) of a window. By default there is none.
     """
 
-    def __init__(self, schedule: Schedule, ndim: int) -> None:
-        self.schedule, self.ndim = schedule, ndim
+    def __init__(
+        self, schedule: Schedule, ndim: int, choose_warp: Callable[[FloatArray], Warp] | None = None
+    ) -> None:
+        self.schedule, self.ndim, self.choose_warp = schedule, ndim, choose_warp
+        self.warp: Warp | None = None
         self.step = 0
         self.covariance: FloatArray | None = None
         self._log_prob: FloatArray | None = None  # smoothed log-density of every chain
@@ -175,12 +191,16 @@ class Learner:
         acceptance = info.extra.get("acceptance_rate", info.accepted)
         self._history.append((state.position, state.log_prob, acceptance))
         closed = [first for first, end in windows if end == self.step]
-        learnt = pooled_covariance(*self._arrays(closed[0])) if closed else None
+        draws = draws_in_bulk(*self._arrays(closed[0])) if closed else None
         if self.step == windows[-1][1]:
             self._history = []  # there are no more windows
+        if draws is None:
+            return False
+        warp = None if self.choose_warp is None else self.choose_warp(draws)
+        learnt = regularised_covariance(draws if warp is None else warp.to_x(draws))
         if learnt is None:
             return False
-        self.covariance = learnt
+        self.covariance, self.warp = learnt, warp
         return True
 
     @property
@@ -213,13 +233,11 @@ class Learner:
         return [np.array(values) for values in zip(*self._history[first:], strict=True)]
 
 
-def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
-    """Return the regularised covariance of all chains' draws, shape (ndim, ndim).
+def draws_in_bulk(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
+    """Return the draws of all chains that are in the bulk of the target, shape (n, ndim).
 
     Chains that have not reached the bulk (see `find_arrived`) or hardly move are excluded. So are single draws
-    with a far lower log-density; this loses only the far tails of the target. The covariance is shrunk towards its
-    own diagonal with the weight of five draws, so the units of the parameters do not matter. (Stan shrinks towards
-    a fixed size, which would distort the covariance of a posterior much narrower than the prior.)
+    with a far lower log-density; this loses only the far tails of the target.
 
     Parameters
     ----------
@@ -229,7 +247,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     Returns
     -------
     ndarray or None
-        None if there are at most ``2 ndim`` draws, a coordinate never changed, or the covariance is singular.
+        None if there are at most ``2 ndim`` draws, or a coordinate never changed.
     """
     if not len(position):
         return None
@@ -238,9 +256,17 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     included = find_arrived(mean, WINDOW_LAG + 0.5 * ndim, np.mean(acceptance, axis=0))
     near = log_prob >= _level(mean) - (LAG + ndim)
     draws = position[included & near]
-    n = len(draws)
-    if n <= 2 * ndim:
-        return None
+    return draws if len(draws) > 2 * ndim and np.all(np.ptp(draws, axis=0) > 0) else None
+
+
+def regularised_covariance(draws: FloatArray) -> FloatArray | None:
+    """Return the covariance of draws (n, ndim), shape (ndim, ndim), or None if it is singular.
+
+    It is shrunk towards its own diagonal with the weight of five draws, so the units of the parameters do not
+    matter. (Stan shrinks towards a fixed size, which would distort the covariance of a posterior much narrower
+    than the prior.)
+    """
+    n, ndim = draws.shape
     covariance = np.cov(draws, rowvar=False).reshape(ndim, ndim)
     spread = np.diag(covariance)
     if not np.all(spread > 0):

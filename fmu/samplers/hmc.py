@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
 from fmu.samplers.kernel import Info, State, Tree
-from fmu.samplers.local import LocalSampler
+from fmu.samplers.local import LocalKernel, LocalSampler
 from fmu.samplers.mixture.quadratic import Quadratic, definite
-from fmu.samplers.mixture.warp import Warp
+from fmu.samplers.mixture.warp import Warp, WarpedDensity
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
 from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric, WithGradient
 from fmu.types import FloatArray, LogDensity, Positive
@@ -37,10 +37,13 @@ _LONGEST = 10.0
 @check_arguments
 @dataclass(frozen=True)
 class HamiltonianMonteCarlo(LocalSampler):
-    """Hamiltonian Monte Carlo (HMC) in the original, affinely scaled coordinates, with reflection at the bounds.
+    """Hamiltonian Monte Carlo (HMC) in scaled or logarithmic coordinates, with reflection at the bounds.
 
     The energy is H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory consists of `n_steps` leapfrog steps, eq.
     (12)-(14) of the paper. Its end point, with energy H*, is accepted with probability min(1, exp(H − H*)).
+
+    Where the density is skewed, as it is for a stiffness that may be small, steps in scaled coordinates must be
+    short. Warm-up chooses the coordinates that are made logarithmic; V includes their Jacobian.
 
     Parameters
     ----------
@@ -70,6 +73,10 @@ class HamiltonianMonteCarlo(LocalSampler):
         Scalar h of eq. (15), which multiplies Δ.
     max_bounces : int
         A trajectory with more reflections than this is rejected, never cut short.
+    bent : vector of bool, optional
+        Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see
+        `fmu.samplers.mixture.warp.Warp`. `inverse_mass` is then in the transformed coordinates. By default warm-up
+        chooses the mask, unless `step_size` or `inverse_mass` is given, or the steps are inside another sampler.
 
     Raises
     ------
@@ -91,6 +98,7 @@ class HamiltonianMonteCarlo(LocalSampler):
     max_bounces: int = 200
     target_accept: float = 0.8
     length: float = 2.0
+    bent: Sequence[bool] | None = None
 
     name: ClassVar[str] = "hmc"
     title: ClassVar[str] = "Hamiltonian Monte Carlo"
@@ -117,9 +125,21 @@ class HamiltonianMonteCarlo(LocalSampler):
         object.__setattr__(self, "delta", positive_scale("delta", self.delta, matrix=False))
         object.__setattr__(self, "h", positive_number("h", self.h))
         whole_number("max_bounces", self.max_bounces, 0)
+        if self.bent is not None:
+            object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
-    def bind(self, density: LogDensity) -> HamiltonianKernel:
+    def bind(self, density: LogDensity) -> HamiltonianKernel | WarpedKernel:
         """Return the kernel that samples `density`; raise ValueError if a vector or matrix has the wrong size."""
+        own = self.in_coordinates(density)
+        if self.bent is None:
+            return own
+        if len(self.bent) != density.ndim:
+            raise ValueError(f"bent: must have {density.ndim} values, one per coordinate (got {len(self.bent)})")
+        warp = Warp(density.lower, density.upper, np.array(self.bent))
+        return WarpedKernel(own.target, self.in_coordinates(WarpedDensity(density, warp)), warp)
+
+    def in_coordinates(self, density: LogDensity) -> HamiltonianKernel:
+        """Return the kernel that follows trajectories in the coordinates of `density`, whatever `bent` is."""
         target: WithGradient = ExactGradient(density)
         if self.gradient == "central-difference":
             delta = np.broadcast_to(fits("delta", self.delta, density.ndim), density.ndim)
@@ -147,7 +167,54 @@ class HamiltonianMonteCarlo(LocalSampler):
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
         """Return a tuner that learns the settings in `steps` warm-up steps, or None if `step_size` is given."""
-        return HamiltonianTuner(self, density, chains, steps) if self.step_size is None else None
+        is_bending = self.inverse_mass is None or self.bent is not None
+        return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None
+
+    def local_tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
+        """Return a tuner as `tuner` does, which transforms no coordinate unless `bent` is given."""
+        is_bending = self.bent is not None
+        return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None
+
+
+@dataclass(frozen=True)
+class WarpedKernel(LocalKernel):
+    """HMC kernel that follows trajectories in the coordinates of a warp; its state is in scaled coordinates.
+
+    Attributes
+    ----------
+    target : WithGradient
+        The density of u.
+    inner : HamiltonianKernel
+        The kernel in the coordinates x of the warp; its target includes the Jacobian.
+    warp : Warp
+    """
+
+    target: WithGradient
+    inner: HamiltonianKernel
+    warp: Warp
+
+    def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
+        """Take a step of the inner kernel. ``energy`` is the energy in the coordinates of the warp."""
+        if state.gradient is None:
+            raise ValueError("state: must carry the gradient at its position (got None)")
+        begin = State(
+            self.warp.to_x(state.position),
+            state.log_prob + self.warp.log_stretch(state.position),
+            state.gradient * self.warp.stretch(state.position) + self.warp.bent,
+        )
+        end, info = self.inner.step(rng, begin)
+        assert end.gradient is not None  # as `begin` has one
+        moved = info.accepted[:, None]
+        position = np.where(moved, self.warp.to_u(end.position), state.position)
+        log_prob = np.where(info.accepted, end.log_prob - self.warp.log_stretch(position), state.log_prob)
+        gradient = np.where(moved, (end.gradient - self.warp.bent) / self.warp.stretch(position), state.gradient)
+        return State(position, log_prob, gradient), replace(info, log_prob=log_prob)
+
+    def join(self, kernels: Sequence[Self], chains: int) -> Self:
+        """Return one kernel for all chains; raise ValueError if the kernels have different warps."""
+        if any(not np.array_equal(kernel.warp.bent, self.warp.bent) for kernel in kernels):
+            raise ValueError("bent: must be the same at all temperatures")
+        return replace(self, inner=self.inner.join([kernel.inner for kernel in kernels], chains))
 
 
 class HamiltonianTuner:
@@ -155,19 +222,22 @@ class HamiltonianTuner:
 
     Dual averaging gives the step size. The covariance of each window's draws gives the inverse mass matrix, unless
     it is given. The number of steps, unless given, is the intended trajectory length divided by the step size, at
-    most `_MOST_STEPS`; it is `START_STEPS` as long as no inverse mass matrix is known.
+    most `_MOST_STEPS`; it is `START_STEPS` as long as no inverse mass matrix is known. If `is_bending`, the draws
+    of each window also decide which coordinates are transformed, unless the sampler's `bent` is given.
 
     In the first part of warm-up each chain has its own step size: a chain far from the bulk of the distribution
     needs a small one, which must not slow down the other chains. Afterwards all chains share one step size, which
     is not affected by chains that lag behind.
     """
 
-    def __init__(self, sampler: HamiltonianMonteCarlo, density: LogDensity, chains: int, steps: int) -> None:
-        self.sampler = sampler
-        self.learner = Learner(Schedule.doubling(steps), density.ndim)
-        self.kernel: HamiltonianKernel = sampler.bind(density)
-        self.kernel = replace(self.kernel, step_size=np.full(chains, float(self.kernel.step_size)))
-        self.averaging = DualAveraging(np.log(self.kernel.step_size), sampler.target_accept)
+    def __init__(
+        self, sampler: HamiltonianMonteCarlo, density: LogDensity, chains: int, steps: int, is_bending: bool
+    ) -> None:
+        self.sampler, self.density = sampler, density
+        self.learner = Learner(Schedule.doubling(steps), density.ndim, self._choose_warp if is_bending else None)
+        self.kernel: HamiltonianKernel | WarpedKernel = sampler.bind(density)
+        self._change(step_size=np.full(chains, float(self._inner.step_size)))
+        self.averaging = DualAveraging(np.log(self._inner.step_size), sampler.target_accept)
 
     def update(self, state: State, info: Info) -> None:
         """Adapt the settings to one more warm-up step."""
@@ -180,7 +250,7 @@ class HamiltonianTuner:
             self.averaging = self._restart_averaging(self.learner.average_arrived(self.averaging.averaged))
         if window_closed and self.sampler.inverse_mass is None:
             # the new metric makes the target's standard deviations 1, so that a step size of order one fits
-            self._take_metric()
+            self._take_coordinates()
             self.averaging = self._restart_averaging(np.log(0.5))
         elif self._has_settled and self.averaging.target < SHORT_STEPS and info.extra["diverging"].any():
             # the step size may be right on average and too long somewhere
@@ -191,37 +261,62 @@ class HamiltonianTuner:
     def finish_learning(self) -> HamiltonianMonteCarlo:
         """Return the settings with the learnt step size, inverse mass matrix and number of steps."""
         step_size = float(self._limit_step(np.mean(self.averaging.averaged)))
-        inverse_mass = self.sampler.inverse_mass
-        if inverse_mass is None and self.learner.covariance is not None:
-            inverse_mass = self.learner.covariance
         return replace(
-            self.sampler,
+            self._settings,
             step_size=step_size,
             n_steps=self._n_steps(step_size),
-            inverse_mass=inverse_mass,
             target_accept=self.averaging.target,
         )
 
     def state(self) -> Tree:
         """Return the tuner's state as plain data."""
-        return {"learner": self.learner.state(), "averaging": vars(self.averaging)}
+        bent = None if self.learner.warp is None else self.learner.warp.bent
+        return {"learner": self.learner.state(), "averaging": vars(self.averaging), "bent": bent}
 
     def restore(self, state: Tree) -> None:
         """Restore the state that another tuner's `state` returned."""
         self.learner.restore(state["learner"])
         self.averaging = DualAveraging(**state["averaging"])
+        if state["bent"] is not None:
+            self.learner.warp = Warp(self.density.lower, self.density.upper, state["bent"])
         if self.learner.covariance is not None and self.sampler.inverse_mass is None:
-            self._take_metric()
+            self._take_coordinates()
         if self.learner.step:  # before the first step exp(log ε₀) could differ from ε₀ in the last bit
             self._take_step_size()
 
-    def _take_metric(self) -> None:
-        covariance = self.learner.covariance
-        self.kernel = replace(self.kernel, metric=Metric.of(covariance, self.learner.ndim))
+    @property
+    def _settings(self) -> HamiltonianMonteCarlo:
+        """The sampler with the coordinates and the inverse mass matrix that were learnt."""
+        if self.sampler.inverse_mass is not None or self.learner.covariance is None:
+            return self.sampler
+        warp = self.learner.warp
+        bent = self.sampler.bent if warp is None else tuple(warp.bent.tolist())
+        return replace(self.sampler, inverse_mass=self.learner.covariance, bent=bent)
+
+    @property
+    def _inner(self) -> HamiltonianKernel:
+        """The kernel that follows trajectories, perhaps in the coordinates of a warp."""
+        return self.kernel.inner if isinstance(self.kernel, WarpedKernel) else self.kernel
+
+    def _change(self, **fields: Any) -> None:
+        """Change fields of the kernel that follows trajectories."""
+        inner = replace(self._inner, **fields)
+        self.kernel = replace(self.kernel, inner=inner) if isinstance(self.kernel, WarpedKernel) else inner
+
+    def _choose_warp(self, draws: FloatArray) -> Warp:
+        """Return the warp that suits draws (n, ndim), or the given one."""
+        lower, upper = self.density.lower, self.density.upper
+        given = self.sampler.bent
+        return Warp.fitting(draws, lower, upper) if given is None else Warp(lower, upper, np.array(given))
+
+    def _take_coordinates(self) -> None:
+        before = self._inner
+        self.kernel = self._settings.bind(self.density)
+        self._change(step_size=before.step_size, n_steps=before.n_steps)
 
     def _take_step_size(self) -> None:
         step_size = self._limit_step(self.averaging.log_value)
-        self.kernel = replace(self.kernel, step_size=step_size, n_steps=self._n_steps(step_size))
+        self._change(step_size=step_size, n_steps=self._n_steps(step_size))
 
     def _restart_averaging(self, log_step_size: ArrayLike) -> DualAveraging:
         return DualAveraging(np.asarray(log_step_size, dtype=float), self.sampler.target_accept)
@@ -252,5 +347,5 @@ class HamiltonianTuner:
         or no metric is known.
         """
         if self.sampler.n_steps is not None or not self._has_metric:
-            return self.kernel.n_steps
+            return self._inner.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

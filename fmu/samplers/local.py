@@ -12,7 +12,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from fmu.samplers.kernel import Info, Sampler, State, Target
+from fmu.samplers.kernel import Info, Sampler, State, Target, Tuner
 from fmu.types import BoolArray, FloatArray, LogDensity
 
 
@@ -35,6 +35,10 @@ class LocalSampler(Sampler):
         The base class returns `self`, as derived classes do if the settings already specify the steps.
         """
         return self
+
+    def local_tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
+        """Return a tuner for steps inside another sampler; by default the one that `tuner` returns."""
+        return self.tuner(density, chains, steps)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.adaptation import SHRINKAGE, DualAveraging, Schedule, find_arrived, pooled_covariance
+from fmu.samplers.adaptation import (
+    SHRINKAGE,
+    DualAveraging,
+    Schedule,
+    draws_in_bulk,
+    find_arrived,
+    regularised_covariance,
+)  # fmt: skip
 
 COVARIANCE = np.array([[1.0, 0.6, 0.0], [0.6, 0.8, -0.2], [0.0, -0.2, 0.5]])
 
@@ -79,10 +86,11 @@ class Window:
         self.acceptance = rng.uniform(0.1, 0.5, (n, 5))
 
     def covariance(self, chains=slice(None), first=0):
-        return pooled_covariance(*(a[first:, chains] for a in (self.position, self.log_prob, self.acceptance)))
+        draws = draws_in_bulk(*(a[first:, chains] for a in (self.position, self.log_prob, self.acceptance)))
+        return None if draws is None else regularised_covariance(draws)
 
 
-class TestPooledCovariance:
+class TestCovarianceOfWindow:
     def test_is_the_covariance_of_all_chains_shrunk_towards_its_diagonal(self):
         window = Window()
         plain = np.cov(window.position.reshape(-1, 3), rowvar=False)

@@ -36,6 +36,8 @@ _ROWS = (
      "np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2)))", "1e-3 * np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2)))", "fem/frf/test_frf_certificate.py fem/frf/test_frf_closed_forms.py"),
     ("solutions from factors in single precision: residuals of the wrong sign", "fem/refinement.py",
      "loads[:, of] - A @ x[:, of]", "loads[:, of] + A @ x[:, of]", "fem/test_refinement.py"),
+    ("HMC in logarithmic coordinates: no Jacobian", "samplers/mixture/warp.py",
+     "return log_prob + self.warp.log_stretch(u), gradient", "return log_prob, gradient", "samplers/test_warped_hmc.py"),
     ("left-out density: a standard error without its centre", "analysis/held_out/weights.py",
      "np.exp(log_w + log_p - elpd) - np.exp(log_w)", "np.exp(log_w + log_p - elpd)", "analysis/held_out/test_smoothed_weights.py"),
     ("reduced space: orthogonal in the wrong product", "fem/reduced/space.py",

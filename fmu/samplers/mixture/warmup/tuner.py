@@ -91,7 +91,7 @@ class MixtureTuner:
         self.local: Tuner | None = None
         given = sampler.mixture(density)
         if given is None:
-            self.local = self.local_settings.tuner(density, chains, self.first)
+            self.local = self.local_settings.local_tuner(density, chains, self.first)
         else:
             self._begin_with(given)
         self._take_kernel()
@@ -348,7 +348,7 @@ class MixtureTuner:
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
             self.local_settings = self.sampler.local_of(self.density)
-            self.local = self.local_settings.tuner(self.density, self.chains, steps)
+            self.local = self.local_settings.local_tuner(self.density, self.chains, steps)
 
     def _cycle(self, wide: float) -> tuple[int, int]:
         """Return the numbers of local steps and of candidates per cycle."""
@@ -385,7 +385,7 @@ class MixtureTuner:
         if self.gaussians is None and self.sampler.local is None:
             local = Slice()  # gradients of such a density are not informative at a standard deviation's distance
         self.local_settings = local.take_covariance(covariance)
-        self.local = self.local_settings.tuner(self.density, self.chains, remaining)
+        self.local = self.local_settings.local_tuner(self.density, self.chains, remaining)
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
