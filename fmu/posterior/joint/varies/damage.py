@@ -28,7 +28,7 @@ class Damage(Varies):
 
     The reference is the group of the first test, unless the problem names another group. A negative loss is a
     gain. Negative losses are allowed because noise produces them if there is no damage; if they were excluded, the
-    losses would be biased upwards.
+    losses would be biased upwards. Every group needs a test in which the parameter is unknown.
 
     If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d), where F is the
     distribution of the undamaged values (`Population`).
@@ -56,6 +56,10 @@ class Damage(Varies):
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
         """Return error messages if the tests do not allow losses in the parameter `name`."""
         found = super().find_mistakes(name, tests)
+        unknown = {test.group for test in tests if name not in test.known}
+        for group in dict.fromkeys(test.group for test in tests if test.group not in unknown):
+            rule = f"needs a test of {group!r} in which {name} is unknown, to infer its loss"
+            found.append(f'varies.{name}: {rule} (got none); with varies = "group" it may be known there')
         return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:

@@ -100,6 +100,15 @@ def test_a_reference_in_which_the_parameter_is_known_to_be_zero(varies):
     assert not find_mistakes(tests, parameters, 2, {"k1": Shared(), "k2": way_of(varies)}, {}, "old")
 
 
+@pytest.mark.parametrize("known", [{0: 0.8, 1: 0.8}, {2: 0.9}], ids=["reference", "later"])
+def test_a_loss_needs_a_test_in_which_the_parameter_is_unknown(known):
+    group = GROUPS[min(known)]
+    with pytest.raises(ValueError, match=rf"^varies\.k2: needs a test of '{group}' in which k2 is unknown"):
+        known_in(known, fmu.Damage())
+    assert known_in(known).layout.states == ("new", "repaired")
+    assert known_in({0: 0.8, 3: 0.9}, fmu.Damage()).names == ("k1", "k2", "k2 loss [new]", "k2 loss [repaired]")
+
+
 def test_values_before_the_damage_are_of_tests_in_which_the_parameter_is_unknown():
     problem = known_in({0: 0.6})
     trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2, seed=1, init="prior")
