@@ -144,7 +144,10 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
 def _model(found: Check) -> PageSection:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
-        caption = "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors."
+        caption = (
+            "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors (with two "
+            "heads or curved: of rotations)."
+        )
         # fmu.fem.frame.drawing escapes the text in the drawing
         drawing = Markup(found.drawing) + legend_of_parameters(
             found.parameters.index, found.colours, found.drawing

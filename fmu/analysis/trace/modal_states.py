@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.reading import has, parameter_draws, with_group
-from fmu.fem.frame.drawing import Sketch, sketch
+from fmu.fem.frame.drawing import SENSORS, Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
@@ -164,7 +164,7 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
         except ValueError:  # too few sensors for so many modes
             pass
     if "component" in variables:
-        sensors = zip(data.sensors, sketched.places[np.array(sketched.kinds) == "sensor"], strict=True)
+        sensors = zip(data.sensors, sketched.places[np.isin(sketched.kinds, SENSORS)], strict=True)
         site = {_without_sign(sensor): place for sensor, place in sensors}
         variables["site"] = (("place", "direction"), np.array(list(site.values())), {"units": "m"})
     return variables

@@ -23,7 +23,8 @@ _BALANCED = 1e-9
 _MOST_LINES = 300
 """Largest number of lines for which each line is a separate SVG element."""
 _AXES = ("x", "y", "z")
-_ROTATIONS = ("rx", "ry", "rz")
+SENSORS = ("sensor", "rotation")
+"""Kinds of symbols for sensors of displacements and of rotations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +38,13 @@ class Sketch:
     changed : ndarray of bool, shape (n_elements, n_parameters)
         Whether each parameter changes each element; see `changed_elements`.
     kinds : tuple of str
-        Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``.
+        Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"``, ``"sensor"`` or ``"rotation"``, a
+        sensor of a rotation.
     places : ndarray, shape (n_symbols, 3), m
         NaN for sensors at unknown places, which are not plotted.
     ends : ndarray, shape (n_symbols, 3)
-        Far end of an arm or a spring, m; direction of a sensor. NaN for supports, masses, springs to the ground
-        and sensors of rotations.
+        Far end of an arm or a spring, m; direction of a sensor, or the axis of the rotation that it measures. NaN
+        for supports, masses and springs to the ground.
     owners : ndarray of int, shape (n_symbols,)
         Index of the first parameter that changes a spring's stiffness; −1 for all other springs and symbols.
     """
@@ -76,7 +78,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
     symbols += [("support", nodes[node], nowhere) for node in _find_supports(model)]
     symbols += [("mass", nodes[node], nowhere) for node in geometry.masses]
-    symbols += [("sensor", place.get(n, nowhere), _pointing(d)) for n, d in sensors]
+    symbols += [(_kind_of(d), place.get(n, nowhere), axis_of(d)) for n, d in sensors]
     kinds = tuple(kind for kind, *_ in symbols)
     places, ends = (np.array([symbol[k] for symbol in symbols]).reshape(-1, 3) for k in (1, 2))
     owners = np.full(len(symbols), -1)
@@ -101,8 +103,8 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
-    ends = np.array([_pointing(d) for _, d in seen]).reshape(-1, 3)
-    kinds = ("sensor",) * len(seen)
+    ends = np.array([axis_of(d) for _, d in seen]).reshape(-1, 3)
+    kinds = tuple(_kind_of(d) for _, d in seen)
     nodes = np.array(list(place.values()))
     return Sketch(nodes, np.asarray(picture.lines), picture.changed, kinds, places, ends, np.full(len(seen), -1))
 
@@ -125,7 +127,8 @@ def draw_svg(
 
     Each element or spring has the colour of the first parameter that changes it. Squares are supports, discs are
     masses, zigzags are springs (rings between coincident nodes), thin lines are rigid arms, and arrows are sensors
-    (dots if they point at the reader). Sensors of rotations or at unknown places are not plotted.
+    (dots if they point at the reader or away). Arrows with two heads are axes of sensors of rotations, by the
+    right-hand rule (curved arrows if they point at the reader or away). Sensors at unknown places are not plotted.
 
     Parameters
     ----------
@@ -149,7 +152,9 @@ def draw_svg(
     colours = element_colours(structure.changed) if colours is None else colours
     parts = [_line(a, b, UNCHANGED, 1.5) for a, b in zip(places[kinds == "arm"], fit(tips @ view), strict=True)]
     parts += _lines(place[structure.elements], colours)
-    symbols = zip(structure.kinds, places, ends, structure.ends @ view, structure.owners, strict=True)
+    towards_reader = np.cross(*view.T)
+    pointings = structure.ends @ np.column_stack([view, towards_reader])
+    symbols = zip(structure.kinds, places, ends, pointings, structure.owners, strict=True)
     for kind, a, b, pointing, owner in symbols:
         if kind == "spring":
             of_parameters = COLOURS if spring_colours is None else spring_colours
@@ -158,9 +163,10 @@ def draw_svg(
             parts.append(_support(a))
         elif kind == "mass":
             parts.append(_dot(a, 6, UNCHANGED))
-        elif kind == "sensor" and not np.isnan([*a, *pointing]).any():
-            parts.append(_arrow(a, pointing))
-    words = said or f"{n} nodes, {len(structure.elements)} elements, {np.sum(kinds == 'sensor')} sensors"
+        elif kind in SENSORS and not np.isnan([*a, *pointing]).any():
+            parts.append(_arrow(a, pointing[:2]) if kind == "sensor" else _rotation(a, pointing))
+    n_sensors = np.sum(np.isin(kinds, SENSORS))
+    words = said or f"{n} nodes, {len(structure.elements)} elements, {n_sensors} sensors"
     width, height = np.concatenate([place, fit(tips @ view)]).max(axis=0) + _MARGIN
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
@@ -171,8 +177,8 @@ def draw_svg(
 
 def without_sensors(structure: Sketch) -> Sketch:
     """Return the sketch without its sensors."""
-    others = np.array([kind != "sensor" for kind in structure.kinds], dtype=bool)
-    kinds = tuple(kind for kind in structure.kinds if kind != "sensor")
+    others = np.array([kind not in SENSORS for kind in structure.kinds], dtype=bool)
+    kinds = tuple(kind for kind in structure.kinds if kind not in SENSORS)
     places, ends, owners = structure.places[others], structure.ends[others], structure.owners[others]
     return replace(structure, kinds=kinds, places=places, ends=ends, owners=owners)
 
@@ -255,10 +261,17 @@ def view_of(nodes: FloatArray) -> FloatArray:
     return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
 
 
-def _pointing(direction: str) -> FloatArray:
-    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``, or NaN for a rotation."""
-    if direction[-2:] in _ROTATIONS:
-        return np.full(3, np.nan)
+def _kind_of(direction: str) -> str:
+    return "rotation" if is_rotation(direction) else "sensor"
+
+
+def is_rotation(direction: str) -> bool:
+    """Return True for a direction such as ``"rx"`` or ``"-rx"``."""
+    return "r" in direction
+
+
+def axis_of(direction: str) -> FloatArray:
+    """Return the unit vector (3,) of a direction such as ``"-z"``, or of the axis of one such as ``"rx"``."""
     unit = np.zeros(3)
     unit[_AXES.index(direction[-1])] = -1.0 if direction.startswith("-") else 1.0
     return unit
@@ -351,14 +364,33 @@ def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
     return f'<polyline points="{zigzag}" fill="none" {stroke}/>' + ground
 
 
-def _arrow(at: FloatArray, direction: FloatArray) -> str:
-    """Return a sensor as SVG: an arrow in its direction, or a dot if it points at the reader."""
+def _arrow(at: FloatArray, direction: FloatArray, heads: int = 1) -> str:
+    """Return a sensor as SVG: an arrow in its direction (2,), or a dot if it points at the reader or away."""
     along = direction * (1.0, -1.0)
     length = float(np.linalg.norm(along))
     if length < _FLAT:
         return _dot(at, 4, "currentColor")
     along = along / length
+    tip = at + (12.0 + 6.0 * heads) * along
+    tips = (_head(tip - 6.0 * k * along, along) for k in range(heads))
+    return _line(at, tip, "currentColor", 1.5) + "".join(tips)
+
+
+def _rotation(at: FloatArray, axis: FloatArray) -> str:
+    """Return a sensor of a rotation as SVG, for its axis (3,): to the right, upwards and towards the reader.
+
+    It is an arrow with two heads, or a curved arrow if the axis points at the reader or away.
+    """
+    if np.linalg.norm(axis[:2]) >= _FLAT:
+        return _arrow(at, axis[:2], heads=2)
+    side, sweep = (1.0, 0) if axis[2] > 0 else (-1.0, 1)
+    x, y = at
+    arc = f"M{x + 9.0 * side:.1f} {y:.1f}A9 9 0 1 {sweep} {x:.1f} {y + 9.0:.1f}"
+    line = 'fill="none" stroke="currentColor" stroke-width="1.5"'
+    return f'<path d="{arc}" {line}/>' + _head(np.array([x + 7.0 * side, y + 9.0]), np.array([side, 0.0]))
+
+
+def _head(tip: FloatArray, along: FloatArray) -> str:
     across = np.array([-along[1], along[0]])
-    tip = at + 18.0 * along
-    head = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, *(tip - 7.0 * along + s * 4.0 * across for s in (1, -1))))
-    return _line(at, tip, "currentColor", 1.5) + f'<polygon points="{head}" fill="currentColor"/>'
+    corners = (tip, *(tip - 7.0 * along + s * 4.0 * across for s in (1, -1)))
+    return f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in corners)}" fill="currentColor"/>'

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.plan.result import PLANNED, Plan
-from fmu.fem.frame.drawing import view_of
+from fmu.fem.frame.drawing import axis_of, is_rotation, view_of
 from fmu.fem.modes.separable import SeparableModel
 from fmu.report.plots import style
 from fmu.sampling.simulated_updates import SimulatedTests
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _ARROW = 0.06  # length of an arrow, relative to the structure
-_UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _MOST_NAMES = 40
 
 
@@ -58,11 +57,19 @@ def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
         at = places[k]
         for row in plan.design.candidates.rows([k]):
             direction = plan.design.candidates.sensors[row][1]
-            sign = -1.0 if direction.startswith("-") else 1.0
-            tip = at + sign * _ARROW * size * np.array(_UNIT.get(direction[-1], (0.0, 0.0, 0.0)))
-            start, end = at @ view.T, tip @ view.T
+            axis = axis_of(direction)
+            start, end = at @ view.T, (at + _ARROW * size * axis) @ view.T
             axes.plot(*zip(start, end, strict=True), color=colour, linewidth=1.8)
-            axes.plot([end[0]], [end[1]], marker="o", markersize=3, color=colour)
+            if not is_rotation(direction):
+                axes.plot([end[0]], [end[1]], marker="o", markersize=3, color=colour)
+            elif np.allclose(start, end):  # by the right-hand rule
+                turn = "left" if np.cross(*view) @ axis > 0 else "right"
+                curved = rf"$\circlearrow{turn}$"
+                axes.plot(*start[:, None], marker=curved, markersize=14, markeredgewidth=0, color=colour)
+            else:
+                angle = np.degrees(np.arctan2(*(end - start)[::-1])) - 90.0
+                for head in (end, 0.3 * start + 0.7 * end):
+                    axes.plot(*head[:, None], marker=(3, 0, angle), markersize=7, color=colour)
         left, up = at @ view.T
         axes.annotate(str(number), (left, up), xytext=(4, 4), textcoords="offset points", fontsize=style.FONT)
     axes.set_aspect("equal")

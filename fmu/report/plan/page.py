@@ -91,7 +91,10 @@ def _sensors(plan: Plan) -> PageSection:
     if plan.structure is not None and plan.structure.geometry is not None and plan.places is not None:
         axes = plot_sensors_on_structure(plan, plan.structure)
         alt = f"The structure with {len(plan.every)} sensors, numbered: {_list_sensors(plan)}."
-        caption = "Sensors, the most needed first. Grey: mounted already. Arrows: directions."
+        caption = (
+            "Sensors, the most needed first. Grey: mounted already. Arrows: directions (with two heads or curved: "
+            "rotations)."
+        )
         parts.append(Pictures((picture(axes, "sensors", alt, caption),)))
     parts.append(table_of("Sensors, mounted ones first, then in the order of the choice.", plan.sensor_table()))
     curve = plan.with_bounds()["information"]

@@ -59,7 +59,7 @@ def test_pairing_by_number_shows_a_mode_that_no_sensor_sees(section, section_max
 
 def test_measured_shapes_are_the_reference(young):
     structure = young.model.structure
-    sensors = [(node, "z") for node in (10, 20, 30, 40, 49)]
+    sensors = [*((node, "z") for node in (10, 20, 30, 40, 49)), (40, "ry")]
     at = [structure.dof(*sensor) for sensor in sensors]
     shapes = -3.0 * young.model.truth.shapes(young.start)[at]
     data = fmu.ModalData([31.9, 197.9, 553.0, 1082.2, 1781.5], sensors=sensors, shapes=shapes)
@@ -68,8 +68,8 @@ def test_measured_shapes_are_the_reference(young):
     assert found["mac"].attrs["reference"] == "measured shapes, at the sensors"
     np.testing.assert_allclose(found["mac"][0], mac(shapes, shapes), rtol=1e-9, atol=1e-12)
     ratio = found["measured"] / found["component"].sel(state="start")
-    np.testing.assert_allclose(ratio, ratio[:, :1] * np.ones(5), rtol=1e-9)
-    np.testing.assert_allclose(found["site"].sel(direction="x"), [0.1, 0.2, 0.3, 0.4, 0.49])
+    np.testing.assert_allclose(ratio, ratio[:, :1] * np.ones(6), rtol=1e-9)
+    np.testing.assert_allclose(found["site"].sel(direction="x"), [0.1, 0.2, 0.3, 0.4, 0.49, 0.4])
 
 
 def test_a_model_without_shapes_has_frequencies_alone(problem):

@@ -81,9 +81,37 @@ def test_supports_and_sensors_are_marked():
     root = ET.fromstring(drawing(model, [(49, "z"), (20, "y"), (30, "rz")]))
     (held,) = root.iter(f"{SVG}rect")
     assert float(held.get("x")) + 7 == pytest.approx(lines(drawing(model))[0][1][0], abs=0.1)
-    assert len(list(root.iter(f"{SVG}polygon"))) == 1  # an arrow upwards
+    assert len(list(root.iter(f"{SVG}polygon"))) == 3  # an arrow upwards; one with two heads about the vertical
     assert [e.get("r") for e in root.iter(f"{SVG}circle")] == ["6", "4"]  # the mass; one that points away
     assert "51 nodes, 50 elements, 3 sensors" in root.get("aria-label")
+
+
+def heads(direction):
+    """Return the places of the arrowheads' tips in a view of x and z, with their node at the origin, y upwards."""
+    root = ET.fromstring(drawing(halves(), [(20, direction)]))
+    at = np.array([float(word) for word in lines(drawing(halves()))[20][1][:2]])
+    points = [e.get("points").split()[0].split(",") for e in root.iter(f"{SVG}polygon")]
+    return np.round((np.array(points, float) - at) * (1, -1)).tolist(), [
+        e.get("d") for e in root.iter(f"{SVG}path")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("direction", "tips"),
+    [
+        ("z", [[0, 18]]),
+        ("-x", [[-18, 0]]),
+        ("rz", [[0, 24], [0, 18]]),
+        ("-rx", [[-24, 0], [-18, 0]]),
+        ("ry", [[-7, -9]]),  # y points away: clockwise from the left over the top, to the left at the bottom
+        ("-ry", [[7, -9]]),
+    ],
+)
+def test_rotations_have_two_heads_or_curved_arrows(direction, tips):
+    found, arcs = heads(direction)
+    assert found == tips
+    assert len(arcs) == (direction in ("ry", "-ry"))
+    assert not arcs or f" 0 1 {int(direction == 'ry')} " in arcs[0]  # 1: clockwise on the page
 
 
 def test_no_drawing_without_a_geometry():
