@@ -75,7 +75,8 @@ def predict_tests(
     like : str, optional
         Name of the problem's test whose configuration and errors the new tests have. Default: the first test that
         has all modes of the new test and, if a parameter varies between groups, the same group. Its masses,
-        springs and known parameters must then be shared by all tests of the group.
+        springs and known parameters must then be shared by all tests of the group. The value of at least one
+        parameter with a population must be unknown in it.
     draws : int
         Largest number of draws used, evenly spaced over the trace. The model is solved at each of them.
 
@@ -193,6 +194,9 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
     if any(test.configuration[:3]) and test.configuration[:3] != first.configuration[:3]:
         rule = "must have no masses, springs and known parameters, or those of"
         raise TestsError([f"like: {rule} {first.name!r}; name another test"])
+    if set(problem.layout.populations) <= first.known.keys():
+        rule = "must name a test in which the value of a parameter with a population is unknown"
+        raise TestsError([f"like: {rule} (got {first.name!r})"])
     fitting = [t for t in same if set(test.data.labels) <= set(every[t].data.labels)]
     if not fitting:
         modes = names_in_words(test.data.labels)

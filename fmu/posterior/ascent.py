@@ -118,12 +118,12 @@ def ascend(
     going = np.flatnonzero(np.isfinite(V))
     advance_phase(len(u) - len(going))
     steps = 0
-    while steps < max_steps:
+    while True:
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
         on = going[~stationary[going] & (damping[going] < MOST_DAMPING)]
         advance_phase(len(going) - len(on))
         going = on
-        if not going.size:
+        if not going.size or steps == max_steps:
             break
         damped = _invertible(H[going])
         damped[:, i, i] *= 1.0 + damping[going, None]

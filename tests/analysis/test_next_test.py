@@ -212,6 +212,18 @@ def test_the_configuration_of_the_new_test_is_that_of_the_test_it_is_like():
         fmu.predict_tests(trace, problem, [own], like="s1")
 
 
+def test_a_test_in_which_all_populations_are_known_has_no_departure_to_look_for():
+    rng = np.random.default_rng(15)
+    tests = [*(measured(f"t{i}", rng) for i in range(2)), measured("fixed", rng, known={"k1": 1.0})]
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    problem = fmu.JointProblem(MODEL, tests, parameters, varies={"k1": NORMAL}, pairing="index")
+    trace = trace_of(problem, **dict.fromkeys(NAMES[1:], 1.0))
+    rule = r"^tests\.0\.like: must name a test in which the value of a parameter .* unknown \(got 'fixed'\)"
+    with pytest.raises(TestsError, match=rule):
+        fmu.predict_tests(trace, problem, [measured("new", rng)], like="fixed")
+    assert fmu.predict_tests(trace, problem, [measured("new", rng)], like="t0")["parameter"]["new"] == "k1"
+
+
 def test_a_correlation_of_the_populations_is_taken_into_account():
     """Together, two stiffnesses may be 2.5 sd high; one alone that is lower by 5 sd is the one that is named."""
     rng = np.random.default_rng(13)

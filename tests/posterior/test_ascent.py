@@ -77,7 +77,7 @@ def test_steps_are_limited_and_counted(most):
         return V(u)
 
     ends = ascend(counted, np.zeros((1, 2)), np.zeros(2), np.ones(2), max_steps=most)
-    assert ends.stationary.all() == (most == 100)
+    assert ends.stationary.all() == (most >= 2)  # the decrement is 1e-10 after the second step
     assert len(calls) == 1 + ends.steps
     assert (ends.steps == most) == (most < 100)
 

@@ -101,8 +101,8 @@ def plan(
         numbers, from 1, among all elastic modes. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
         Relative standard deviation of the frequencies in one test. Defaults to the standard deviations of the
-        problem's frequency errors (with a covariance, each given the other frequencies), or to their median if
-        another number of modes is planned; to 0.005 without frequency errors.
+        problem's frequency errors, or to their median if another number of modes is planned; to 0.005 without
+        frequency errors. Correlations of a covariance are ignored.
     shape_sd : float
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     drift : float
@@ -231,9 +231,9 @@ def _frequency_sd(
 ) -> FloatArray | float:
     """Return the relative standard deviations of the frequencies in a test of the problem, (n_modes,).
 
-    With a covariance, each is given the other frequencies. If that test has another number of modes, return their
-    median; without frequency errors, return `FREQUENCY_SD`. Inferred standard deviations have their posterior
-    means or, without a run, their starting values.
+    Those of a covariance are the roots of its diagonal: a plan takes errors for independent. If that test has
+    another number of modes, return their median; without frequency errors, return `FREQUENCY_SD`. Inferred
+    standard deviations have their posterior means or, without a run, their starting values.
     """
     term, n = problem.likelihood.frequency_term, problem.n_structural
     if term is None:
@@ -241,8 +241,11 @@ def _frequency_sd(
     theta = problem.start if trace is None else parameter_draws(trace).mean(axis=(0, 1))
     noise = theta[None, n : n + problem.likelihood.n_noise]
     measured = np.concatenate([one.data.frequencies_hz for one in problem.tests])
-    every = term.given_others(measured[None], noise)[1][0] / measured
-    sd = np.asarray(every[problem.model.test_of_modes == test])
+    if term.couples_modes:  # a covariance, in Hz²
+        every = np.sqrt(term.spread.variance(noise)[0])
+    else:
+        every = term.given_others(measured[None], noise)[1][0]
+    sd = np.asarray((every / measured)[problem.model.test_of_modes == test])
     return sd if len(sd) == n_modes else float(np.median(sd))
 
 

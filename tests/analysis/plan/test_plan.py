@@ -69,6 +69,15 @@ def test_the_expected_sds_of_frequencies_are_those_of_the_problem(tower, error):
     np.testing.assert_allclose(fmu.plan(problem, 2, draws=2, modes=2).frequency_sd, 0.02, rtol=1e-12)
 
 
+def test_correlated_errors_have_the_sds_of_their_covariance(tower):
+    """Given the other frequencies they would be 0.0077, and the plan counts the three as independent."""
+    f = np.asarray(tower.data.frequencies_hz)
+    correlation = 0.9 + 0.1 * np.eye(3)
+    data = fmu.ModalData(f, covariance_hz2=correlation * np.outer(0.02 * f, 0.02 * f))
+    problem = fmu.UpdatingProblem(tower.model, data, tower.parameters)
+    np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, 0.02, rtol=1e-12)
+
+
 def test_an_inferred_sd_of_frequencies_has_its_starting_value_before_a_run(tower):
     noise = fmu.Parameter("noise", 0.03, 0.001, 0.2)
     error = fmu.FrequencyErrors("relative", sd=noise)
