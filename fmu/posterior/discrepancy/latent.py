@@ -172,6 +172,15 @@ class LatentErrors:
         z = mean[..., 0] - np.einsum("nmpc,nc->nmp", gain, w)
         return z, w, of_z - of_both @ np.swapaxes(gain, 2, 3), of_both, of_w
 
+    def learnt_of_common(self) -> FloatArray:
+        """Return I − Cov, (n, C, C), where Cov is the covariance of the common errors w given the residuals.
+
+        It is computed as T(I + T)⁻¹, T = Σ aᵀS⁻¹a, which is exact to rounding also where the loadings a are tiny.
+        """
+        last = np.unique(self.last)
+        T = np.sum(self._groups.quadratic[:, last, 1:, 1:], axis=1)
+        return _solve(np.eye(T.shape[-1]) + T, T)
+
     def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the distribution of a group's own errors z, given its residuals and the common errors w.
 

@@ -251,13 +251,13 @@ class ModelErrors:
         the shape's scale is free. `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
-        _, _, of_z, of_both, of_w = latent.given_residuals()
+        _, _, of_z, of_both, _ = latent.given_residuals()
         last = np.unique(latent.last)
         K = np.sum((np.eye(of_z.shape[-1]) - of_z[:, last]) ** 2, axis=1)
         found = 0.5 * E @ K @ np.swapaxes(E, 1, 2)
         if by_common.shape[2]:
             across = 0.5 * E @ np.sum(of_both[:, last] ** 2, axis=1) @ np.swapaxes(by_common, 1, 2)
-            found += 0.5 * by_common @ (np.eye(of_w.shape[-1]) - of_w) ** 2 @ np.swapaxes(by_common, 1, 2)
+            found += 0.5 * by_common @ latent.learnt_of_common() ** 2 @ np.swapaxes(by_common, 1, 2)
             found += across + np.swapaxes(across, 1, 2)
         delta, share = _relative_changes(terms, noise)
         delta = take(delta, 1)

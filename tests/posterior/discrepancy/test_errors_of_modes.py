@@ -81,6 +81,20 @@ def test_frequencies_are_gaussian_with_the_sum_of_the_covariances(kind):
         assert_allclose(given, stats.norm.logpdf(measured[1], mean, deviation))
 
 
+@pytest.mark.parametrize("rho", [1e-9, 1e-150])
+def test_the_information_on_a_correlation_near_zero_is_fishers(rho):
+    """½ tr(S⁻¹∂S S⁻¹∂S), from the dense covariance S; at 1e-150 a search ends that meets the bound at 0."""
+    problem, sigma = problem_of("inferred"), 0.05
+    theta = np.array([*embedded.START, sigma, rho])
+    found = problem.likelihood.quadratic(theta[None])[2][0, 4:, 4:]
+    sd = np.array([0.02, 0.03, 0.01]) / np.sqrt([1.0, 0.5, 2.0])
+    same, other = np.eye(3), 1.0 - np.eye(3)
+    inverse = np.linalg.inv(np.diag(sd**2) + sigma**2 * (same + rho * other))
+    slopes = (2.0 * sigma * (same + rho * other), sigma**2 * other)
+    expected = [[0.5 * np.trace(inverse @ a @ inverse @ b) for a in slopes] for b in slopes]
+    assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+
+
 def test_shapes_have_errors_at_the_sensors():
     problem, plain = problem_of("inferred", "shapes too"), embedded.problem_of("none", "shapes too")
     theta = embedded.points(problem)
