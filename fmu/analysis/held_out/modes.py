@@ -90,9 +90,11 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
 
         - ``measured``: the measured frequency, Hz;
         - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and 90 % interval ends of the
-          measurement predicted from the other modes, noise included, Hz;
+          measurement predicted from the other modes, noise included, Hz. In ``sd``, a Gaussian with the same
+          central 95 % interval stands for an error with Student's distribution, whose variance may be infinite;
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
-        - ``freedom``: degrees of freedom of the error of a mean of repeated tests; infinite for other errors;
+        - ``freedom``: degrees of freedom of `fmu.StudentErrors`, or of the error of a mean of repeated tests; the
+          harmonic mean of inferred ones; infinite for Gaussian errors;
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz; NaN if not computed;
         - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
+from fmu.posterior.data.repeated import student_scores
 from fmu.posterior.discrepancy.draws import distinct_rows
 from fmu.types import FloatArray, IntArray
 
@@ -71,9 +72,10 @@ class Draws:
         """Return the predictive distribution of mode `k`'s measured frequency from importance-weighted draws.
 
         It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These are Gaussian. They
-        are Student's for Student's errors, and if the measurement is the mean of tests whose scatter gives its
-        error. Draws at which a solve failed are left out. The prediction is NaN if the problem has no error model
-        for frequencies.
+        are Student's for Student's errors, with the draw's degrees of freedom ν, and if the measurement is the
+        mean of tests whose scatter gives its error. The variance of Student's t, which may be infinite, is then
+        replaced by that of the Gaussian with the same central 95 % interval, and `freedom` is 1/E[1/ν]. Draws at
+        which a solve failed are left out. The prediction is NaN if the problem has no error model for frequencies.
         """
         from scipy.optimize import brentq
 
@@ -90,21 +92,27 @@ class Draws:
             means, deviations = means + shift, np.sqrt(deviations**2 + variance)
         solved = np.isfinite(self.hz).all(axis=1)
         means, deviations, log_weight = means[solved], deviations[solved], log_weight[solved]
+        nu = term.freedom(noise, k)[solved]
+        is_gaussian = bool(np.isinf(nu).all())
         w = np.exp(log_weight)
         mean = float(w @ means)
         sd = float(np.sqrt(w @ (deviations**2 + (means - mean) ** 2)))
 
+        def scores(y: float) -> FloatArray:
+            z = (y - means) / deviations
+            return z if is_gaussian else student_scores(z, nu)
+
         def below(y: float) -> float:
-            return float(w @ np.exp(log_ndtr(term.normal_scores((y - means) / deviations, k))))
+            return float(w @ np.exp(log_ndtr(scores(y))))
 
         measured = float(np.asarray(problem.data.frequencies_hz)[k])
-        z = term.normal_scores((measured - means) / deviations, k)
+        z = scores(measured)
         log_tail = min(float(logsumexp(log_weight + log_ndtr(side))) for side in (z, -z))
         ends = [(1.0 - INTERVAL) / 2.0, (1.0 + INTERVAL) / 2.0]
         reach = (float(np.min(means - 9.0 * deviations)), float(np.max(means + 9.0 * deviations)))
         lower, upper = (brentq(lambda y, q=q: below(y) - q, *reach) for q in ends)
         p = min(1.0, 2.0 * float(np.exp(log_tail)))
-        freedom = np.inf if term.tests is None else float(term.tests.freedom[k])
+        freedom = np.inf if is_gaussian else float(np.sum(w) / (w @ (1.0 / nu)))
         return HeldOut(measured, mean, sd, float(lower), float(upper), p, freedom)
 
 

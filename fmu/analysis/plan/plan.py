@@ -26,6 +26,7 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.arguments import ArgumentError, Count, Place, Seed, check_arguments
 from fmu.fem.modes.changes import Change
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.slopes import without_shapes
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
@@ -231,9 +232,10 @@ def _frequency_sd(
 ) -> FloatArray | float:
     """Return the relative standard deviations of the frequencies in a test of the problem, (n_modes,).
 
-    Those of a covariance are the roots of its diagonal: a plan takes errors for independent. If that test has
-    another number of modes, return their median; without frequency errors, return `FREQUENCY_SD`. Inferred
-    standard deviations have their posterior means or, without a run, their starting values.
+    Those of a covariance are the roots of its diagonal: a plan takes errors for independent. Those of Student's
+    errors are the sds of Gaussian errors with the same information, σ √((ν + 3)/(ν + 1)). If that test has another
+    number of modes, return their median; without frequency errors, return `FREQUENCY_SD`. Inferred standard
+    deviations have their posterior means or, without a run, their starting values.
     """
     term, n = problem.likelihood.frequency_term, problem.n_structural
     if term is None:
@@ -244,7 +246,7 @@ def _frequency_sd(
     if term.couples_modes:  # a covariance, in Hz²
         every = np.sqrt(term.spread.variance(noise)[0])
     else:
-        every = term.given_others(measured[None], noise)[1][0]
+        every = 1.0 / np.asarray(term.residuals(without_shapes(measured[None]), noise).by_frequency)[0, :, 0]
     sd = np.asarray((every / measured)[problem.model.test_of_modes == test])
     return sd if len(sd) == n_modes else float(np.median(sd))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,7 +134,7 @@ class RepeatedTests:
         if self.scatter == "joint":
             return _joint(values)
         found = _scatter(values, self.scatter)
-        return MeanFrequencies(found.mean, found.s / np.sqrt(found.n) * _student(found.nu), None)
+        return MeanFrequencies(found.mean, found.s / np.sqrt(found.n) * gaussian_sd(found.nu), None)
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
         """Convert errors of the mean, divided by the standard deviation from `mean`, to standard normal scores.
@@ -150,13 +150,9 @@ class RepeatedTests:
         mode : int, optional
             Index (from 0) of the mode to which all values in `z` belong.
         """
-        from scipy.special import ndtri, stdtr
-
         if self.scatter == "joint":
             return z
-        nu = self.freedom if mode is None else self.freedom[mode]
-        # in the lower tail, where the probability is not rounded to 1
-        return np.asarray(-np.sign(z) * ndtri(stdtr(nu, -np.abs(z) * _student(nu))))
+        return student_scores(z, self.freedom if mode is None else self.freedom[mode])
 
     @property
     def freedom(self) -> FloatArray:
@@ -195,11 +191,20 @@ class RepeatedTests:
         return {"frequencies_hz": rows, "scatter": self.scatter}
 
 
-def _student(nu: Any) -> FloatArray:
+def gaussian_sd(nu: ArrayLike) -> FloatArray:
+    """Return the sd of the Gaussian with the central 95 % interval of Student's t with ν degrees of freedom."""
     from scipy.special import ndtri, stdtrit
 
     tail = 0.5 * (1.0 + _SHARE)
     return np.asarray(stdtrit(nu, tail) / ndtri(tail))
+
+
+def student_scores(z: FloatArray, nu: ArrayLike) -> FloatArray:
+    """Convert errors t, given as z = t/`gaussian_sd`(ν), to the normal scores Φ⁻¹(F(t)) by Student's F."""
+    from scipy.special import ndtri, stdtr
+
+    # in the lower tail, where the probability is not rounded to 1
+    return np.asarray(-np.sign(z) * ndtri(stdtr(nu, -np.abs(z) * gaussian_sd(nu))))
 
 
 def _joint(values: FloatArray) -> MeanFrequencies:
@@ -267,7 +272,7 @@ def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
         nu = (n - 1) * (n_sensors - 1)
         if nu:
             across = unit - (unit @ mean)[:, None] * mean
-            sd[k] = np.sqrt(np.sum(across**2) / (nu * n)) * _student(np.array(nu))
+            sd[k] = np.sqrt(np.sum(across**2) / (nu * n)) * gaussian_sd(nu)
     return sd if np.all(sd > _NO_SCATTER) else None
 
 

@@ -145,13 +145,17 @@ class ErrorTerm:
         """
         return self
 
-    def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
+    def normal_scores(self, z: FloatArray) -> FloatArray:
         """Convert errors divided by their standard deviations, (..., n_modes), to normal scores.
 
-        If a mode's index is given, all values in `z` (any shape) belong to that mode. By default, `z` is returned
-        unchanged, unless the standard deviations come from the scatter of repeated tests.
+        By default, `z` is returned unchanged, unless the standard deviations come from the scatter of repeated
+        tests.
         """
-        return z if self.tests is None else self.tests.normal_scores(z, mode)
+        return z if self.tests is None else self.tests.normal_scores(z)
+
+    def freedom(self, noise: FloatArray, mode: int) -> FloatArray:
+        """Return the degrees of freedom of a mode's error, (n,), at `noise` (n, n_noise); infinite if Gaussian."""
+        return np.full(len(noise), np.inf if self.tests is None else self.tests.freedom[mode])
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction in the form that `evaluate` and `residuals` need."""
@@ -210,7 +214,10 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd of each measured frequency given the others, (n, n_modes) each, in Hz."""
+        """Return mean and sd of each measured frequency given the others, (n, n_modes) each, in Hz.
+
+        If an error's `freedom` is finite, the sd is of the Gaussian with the error's central 95 % interval.
+        """
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:

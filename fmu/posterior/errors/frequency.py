@@ -227,7 +227,7 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + error)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and sd (of Student's t: the scale) of each measured frequency, (n, n_modes), in Hz.
+        """Return the mean and sd of each measured frequency, (n, n_modes), in Hz; see `ErrorTerm.given_others`.
 
         Eigenvalue errors ε = (f/f^m)² − 1 are not Gaussian in f^m. Their standard deviation is converted to Hz
         such that (f − f^m) divided by it equals ε divided by ε's standard deviation.

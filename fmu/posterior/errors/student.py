@@ -14,6 +14,7 @@ from fmu.arguments import ArgumentError, check_arguments, require, takes_old_nam
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import given
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.repeated import gaussian_sd
 from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.frequency import FrequencyErrors, FrequencyTerm
 from fmu.posterior.errors.frequency import Kind as Kind
@@ -103,12 +104,21 @@ class StudentTerm(FrequencyTerm):
         """Always False, because the errors are not Gaussian with known standard deviations."""
         return False
 
-    def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
+    def normal_scores(self, z: FloatArray) -> FloatArray:
         """Convert errors divided by their scales to normal scores; NaN if ν is inferred.
 
         The scores are Φ⁻¹(F(z)), where F is Student's distribution function.
         """
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
+
+    def freedom(self, noise: FloatArray, mode: int) -> FloatArray:
+        """Return ν at `noise` (n, n_noise), shape (n,), the same for all modes."""
+        return self._nu(noise)[:, 0]
+
+    def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the mean and sd of each measured frequency, (n, n_modes), in Hz; see `ErrorTerm.given_others`."""
+        mean, scale = super().given_others(frequencies, noise)
+        return mean, scale * gaussian_sd(self._nu(noise))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the log-density of each mode; see `ErrorTerm.evaluate`."""

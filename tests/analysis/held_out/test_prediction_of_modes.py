@@ -1,9 +1,11 @@
 """Predictions of modes by draws: the modes at the draws are solved once, however many modes are predicted."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.analysis.fit.checks import _limits
 from fmu.analysis.held_out import modes
 from fmu.analysis.held_out.prediction import Draws
 from fmu.analysis.held_out.refit import LeftOut
@@ -54,3 +56,49 @@ def test_modes_may_have_draws_of_their_own(monkeypatch):
     found = modes._left_out_together(problem, [0, 1, 2])
     for k, one in enumerate([rounds[0], rounds[1], rounds[0]]):
         assert_allclose(found[k][1].mean, one.hz[:, k].mean())
+
+
+@pytest.mark.parametrize(
+    "nu", [np.full(40, 1.2), np.full(40, 2.01), np.linspace(1.5, 60.0, 40), np.full(40, 1e7), 2.01]
+)
+def test_predictions_with_errors_of_student_are_how_simulated_measurements_scatter(nu):
+    """The degrees of freedom are inferred, or the number is known."""
+    is_known, rng, n, level = np.ndim(nu) == 0, np.random.default_rng(3), 400_000, 0.01
+    freedom = nu if is_known else fmu.Parameter("nu", 5.0, 1.0, 1e8)
+    other = posed()
+    problem = fmu.UpdatingProblem(
+        other.model, fmu.ModalData(other.data.frequencies_hz), other.parameters, pairing="index",
+        error=fmu.StudentErrors("relative", sd=0.02, freedom=freedom),
+    )  # fmt: skip
+    theta = np.column_stack([rng.uniform(0.98, 1.02, (40, 3))] + [nu] * (not is_known))
+    hz, weight = problem.frequencies(theta), rng.uniform(0.2, 1.0, 40)
+    weight /= weight.sum()
+    row = Draws(problem, theta, hz).predict(1, np.log(weight))
+    chosen = rng.choice(40, n, p=weight)
+    simulated = problem.simulate_data(rng, hz[chosen], theta[chosen])[:, 1]
+    assert_allclose(row.mean, weight @ hz[:, 1])
+    assert_allclose(row.freedom, nu if is_known else 1.0 / (weight @ (1.0 / nu)))
+
+    def check(found, expected):
+        assert found == pytest.approx(expected, abs=4.5 * np.sqrt(expected / n))
+
+    check(np.mean(simulated < row.eti90_lb), 0.05)
+    check(np.mean(simulated > row.eti90_ub), 0.05)
+    check(2.0 * min(np.mean(simulated < row.measured), np.mean(simulated > row.measured)), row.p)
+    if np.ptp(nu) == 0.0:  # one distribution, but for the small scatter of the computed frequencies
+        lower, upper = _limits(row._asdict(), level)
+        assert np.mean((simulated < lower) | (simulated > upper)) == pytest.approx(level, rel=0.1)
+        width = np.quantile(np.abs(simulated - hz[chosen, 1]), 0.95) / 1.96
+        assert row.sd == pytest.approx(np.hypot(width, hz[chosen, 1].std()), rel=0.02)
+
+
+def test_a_problem_with_inferred_degrees_of_freedom_is_sampled_and_its_modes_left_out():
+    parameters = [fmu.Parameter(name, 1.0, 0.7, 1.5) for name in ("k1", "k2")]
+    model = shear_building(["k1", "k2"], 2e6, 1000.0)
+    errors = fmu.StudentErrors("relative", sd=0.01, freedom=fmu.Parameter("nu", 5.0, 1.0, 60.0))
+    data = fmu.ModalData(frequencies_hz(model, (1.1, 0.9))[0])
+    problem = fmu.UpdatingProblem(model, data, parameters, pairing="index", error=errors)
+    trace = fmu.sample(problem, "mh", draws=120, warmup=50, chains=2, seed=1)
+    table = fmu.leave_one_out(trace, problem)
+    assert np.isfinite(table[["mean", "sd", "eti90_lb", "eti90_ub", "p", "elpd"]].to_numpy()).all()
+    assert table["freedom"].between(1.0, 60.0).all()

@@ -59,7 +59,12 @@ def test_expected_sds_are_those_of_the_linearised_posterior(planned, tower):
 
 
 @pytest.mark.parametrize(
-    "error", [fmu.FrequencyErrors("relative", sd=0.02), fmu.FrequencyErrors("eigenvalue", sd=0.04)]
+    "error",
+    [
+        fmu.FrequencyErrors("relative", sd=0.02),
+        fmu.FrequencyErrors("eigenvalue", sd=0.04),
+        fmu.StudentErrors("relative", sd=0.02 * np.sqrt(5 / 7), freedom=4.0),
+    ],
 )
 def test_the_expected_sds_of_frequencies_are_those_of_the_problem(tower, error):
     problem = fmu.UpdatingProblem(
