@@ -73,8 +73,8 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     Raises
     ------
     ValueError
-        If the matrices are not square or not of the same size, there is no master, a master is not a whole number,
-        does not exist or is given twice, or the structure can still move with all masters fixed.
+        If the matrices are not finite, not square or not of the same size, there is no master, a master is not a
+        whole number, does not exist or is given twice, or the structure can still move with all masters fixed.
     """
     K, M = _matrices(K, M)
     masters = _index("masters", masters, K.shape[0])
@@ -233,7 +233,7 @@ def _ritz(K: Matrix, M: Matrix, T: FloatArray, retained: IntArray) -> Reduction:
 
 
 def _matrices(K: Matrix, M: Matrix) -> list[sp.csr_array]:
-    """Return both matrices as sparse arrays. Raise ValueError unless they are square and equal in size."""
+    """Return both matrices as sparse arrays. Raise ValueError unless they are finite, square and equal in size."""
     found = []
     for name, matrix in (("K", K), ("M", M)):
         if not sp.issparse(matrix):
@@ -241,6 +241,8 @@ def _matrices(K: Matrix, M: Matrix) -> list[sp.csr_array]:
         if len(np.shape(matrix)) != 2 or np.shape(matrix) != (np.shape(K)[0],) * 2:
             raise ArgumentError(name, "must be a square matrix, of the size of K", f"shape {np.shape(matrix)}")
         found.append(sp.csr_array(matrix))
+        if not np.isfinite(found[-1].data).all():
+            raise ArgumentError(name, "must be finite", "NaN or infinite entries")
     return found
 
 

@@ -198,6 +198,17 @@ def test_wrong_masters(clamped, reduce, dofs, message):
         reduce(K, M, np.array(dofs, dtype=int) if dofs != [] else [])
 
 
+@pytest.mark.parametrize("name", ["K", "M"])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_matrices_that_are_not_finite(clamped, name, wrong):
+    _, K, M = clamped
+    dense = {"K": K.toarray(), "M": M.toarray()}
+    dense[name][1, 1] = wrong
+    for reduce in (guyan, lambda K, M, dofs: craig_bampton(K, M, dofs, 2)):
+        with pytest.raises(ValueError, match=rf"^{name}: must be finite \(got NaN or infinite entries\)$"):
+            reduce(dense["K"], dense["M"], [0])
+
+
 def test_wrong_number_of_modes(clamped):
     _, K, M = clamped
     with pytest.raises(ValueError, match=r"^n_modes: must be a whole number of at least 0 \(got -1\)$"):

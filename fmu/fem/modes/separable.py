@@ -6,6 +6,7 @@ constants or monomials of the parameters, so their derivatives are exact.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,10 +20,9 @@ from scipy.sparse.csgraph import connected_components
 from fmu.arguments import ArgumentError, Place, check_arguments
 from fmu.fem.modes.line_picture import LinePicture
 from fmu.fem.modes.solver import LastFactor
-from fmu.fem.modes.terms import Term, named_term, sum_at
+from fmu.fem.modes.terms import Term, check_terms, named_term, sum_at
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
-from fmu.numbers import typed
 from fmu.types import Dof, FloatArray, IntArray
 
 
@@ -54,7 +54,8 @@ class Geometry:
     Raises
     ------
     ValueError
-        If nodes or elements have a wrong shape or are not finite, or there is not one id per node.
+        If nodes or elements have a wrong shape or are not finite, there is not one id per node, or an element,
+        mass or spring is at a row that does not exist.
     """
 
     nodes: FloatArray
@@ -72,6 +73,11 @@ class Geometry:
                 raise ArgumentError(name, f"must be finite, of shape (n, {width})", f"shape {rows.shape}")
         if self.ids is not None and np.shape(self.ids) != (len(np.asarray(self.nodes)),):
             raise ArgumentError("ids", "must have a name for each node", f"shape {np.shape(self.ids)}")
+        ends = [row for spring in self.springs for row in spring if row is not None]
+        for name, at in (("elements", self.elements), ("masses", self.masses), ("springs", ends)):
+            wrong = np.setdiff1d(np.asarray(at), np.arange(len(self.nodes)))
+            if len(wrong):
+                raise ArgumentError(name, f"must be at rows of nodes, 0 to {len(self.nodes) - 1}", wrong[0])
 
     @classmethod
     @check_arguments
@@ -163,7 +169,8 @@ class SeparableModel:
     ------
     ValueError
         If there is no stiffness or mass term; a term is not symmetric or not finite, or has the wrong shape or
-        number of powers; or `dofs` has the wrong length.
+        number of powers; or `dofs` has the wrong length or a name twice; or `ties` or `motions` need a degree of
+        freedom that is not in `dofs`.
     """
 
     def __init__(
@@ -194,7 +201,9 @@ class SeparableModel:
         self.notes: tuple[str, ...] = ()
         self.picture: LinePicture | None = None
         self._last_factors: dict[int, LastFactor] = {}
-        _check_terms(self)
+        _check_names(self)
+        for name, terms in (("K_terms", self.K_terms), ("M_terms", self.M_terms)):
+            check_terms(name, terms, self.n_dof, self.n_parameters)
 
     @classmethod
     @check_arguments
@@ -375,17 +384,16 @@ def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
     return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
 
 
-def _check_terms(model: SeparableModel) -> None:
+def _check_names(model: SeparableModel) -> None:
+    """Raise ArgumentError unless the rows have distinct names, and ties and motions are of these names."""
     if len(model.dofs) != model.n_dof:
         raise ArgumentError("dofs", f"must name {model.n_dof} degrees of freedom", len(model.dofs))
-    for name, terms in (("K_terms", model.K_terms), ("M_terms", model.M_terms)):
-        for k, term in enumerate(terms):
-            if term.matrix.shape != (model.n_dof, model.n_dof):
-                raise ArgumentError(f"{name}.{k}", f"must have shape {(model.n_dof,) * 2}", term.matrix.shape)
-            if len(term.powers) != model.n_parameters:
-                raise ArgumentError(f"{name}.{k}", f"must have {model.n_parameters} powers", len(term.powers))
-            if not np.all(np.isfinite(term.powers)):
-                raise ArgumentError(f"{name}.{k}", "powers must be finite", term.powers)
-            difference = abs(term.matrix - term.matrix.T).max()
-            if not difference <= 1e-9 * abs(term.matrix).max():
-                raise ArgumentError(f"{name}.{k}", f"must be symmetric and finite (asymmetry {typed(difference)})")
+    index = set(model.dofs)
+    if len(index) < model.n_dof:
+        twice = next(name for name, count in Counter(model.dofs).items() if count > 1)
+        raise ArgumentError("dofs", "must be distinct", f"{twice} more than once")
+    of_ties = {name: (other,) for name, other in model.ties.items()}
+    for key, sums, known in (("ties", of_ties, index), ("motions", model.motions, index | set(model.ties))):
+        for name, others in sums.items():
+            if unknown := [other for other in others if other not in known]:
+                raise ArgumentError(key, "must be of names in dofs", f"{unknown[0]} for {name}")

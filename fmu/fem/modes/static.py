@@ -25,13 +25,27 @@ _DEPENDENT = 1e-13
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
     """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along one axis.
 
-    It is zero if no node is free along this axis.
+    It is zero if no node is free along this axis. A node that is free only along axes of its own moves by the part
+    of the metre along these.
     """
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
         names = np.array([known.get(i, "") for i in range(model.n_dof)])  # not inside elements
-    return (names == direction).astype(float)
+    motion = (names == direction).astype(float)
+    for name in _along_own_axes(model):
+        motion[model.dof_of[name]] = model.motions.get((name[0], direction), {}).get(name, 0.0)
+    return motion
+
+
+def _along_own_axes(model: SeparableModel) -> set[Dof]:
+    """Return the names of translations that are along axes of their node's own, not along global axes."""
+    return {
+        name
+        for (node, _), weights in model.motions.items()
+        for name in weights
+        if name[0] == node and name[1] in TRANSLATIONS and name in model.motions
+    }
 
 
 class MassMoments:

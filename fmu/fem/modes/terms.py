@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError, check_arguments, shown
+from fmu.numbers import typed
 from fmu.types import FloatArray, IntArray
 
 Powers = tuple[float, ...]
@@ -105,9 +106,23 @@ def _power(x: float, power: float) -> float:
     try:
         return math.pow(x, power)
     except OverflowError:
-        return math.inf
+        return math.copysign(math.inf, x) if power % 2.0 == 1.0 else math.inf
     except ValueError:  # zero to a negative power, or a negative number to a fractional one
         return math.nan
+
+
+def check_terms(name: str, terms: Sequence[Term], n_dof: int, n_parameters: int) -> None:
+    """Raise ArgumentError unless terms are symmetric and finite, (n_dof, n_dof), with powers of all parameters."""
+    for k, term in enumerate(terms):
+        if term.matrix.shape != (n_dof, n_dof):
+            raise ArgumentError(f"{name}.{k}", f"must have shape {(n_dof, n_dof)}", term.matrix.shape)
+        if len(term.powers) != n_parameters:
+            raise ArgumentError(f"{name}.{k}", f"must have {n_parameters} powers", len(term.powers))
+        if not np.all(np.isfinite(term.powers)):
+            raise ArgumentError(f"{name}.{k}", "powers must be finite", term.powers)
+        difference = abs(term.matrix - term.matrix.T).max()
+        if not difference <= 1e-9 * abs(term.matrix).max():
+            raise ArgumentError(f"{name}.{k}", f"must be symmetric and finite (asymmetry {typed(difference)})")
 
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:

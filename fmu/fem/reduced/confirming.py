@@ -137,16 +137,12 @@ def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArr
 
 
 def confirm_blocks(bound: FrequencyBound) -> tuple[FullBlock, ...]:
-    """Return the full blocks behind a bound, with a `ConfirmedBlock` for each large block that was reduced.
-
-    Return ``bound.full`` itself if no block is large.
-    """
+    """Return the full blocks behind a bound, with a `ConfirmedBlock` for each large block that was reduced."""
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:
             blocks[b] = ConfirmedBlock(full, *bound.trial(b))
-    changed = any(block.size >= LARGE for block in blocks)
-    return tuple(blocks) if changed else bound.full
+    return tuple(blocks)
 
 
 def davidson(

@@ -392,8 +392,9 @@ class Training:
             found = self.reduced[b].eigenvalues(points[:_CHECKED], n)
             known = np.isfinite(lam).all(axis=1)
             bad = known & ~np.all(apart(found, lam) <= self.tolerance, axis=1)
-            # if the solves started from the modes of the basis, the eigenvalues have already been counted
-            agreed &= not bad.any() and (full is not self.full or learner.counts_the_same(points[_CHECKED:], n))
+            # if the block's solves started from the modes of the basis, its eigenvalues have already been counted
+            is_counted = full[b] is not self.full[b]
+            agreed &= not bad.any() and (is_counted or learner.counts_the_same(points[_CHECKED:], n))
             for row in np.flatnonzero(bad):
                 learner.add(shapes[b][row])
         return agreed

@@ -146,11 +146,7 @@ class ErrorTerm:
         return self
 
     def normal_scores(self, z: FloatArray) -> FloatArray:
-        """Convert errors divided by their standard deviations, (..., n_modes), to normal scores.
-
-        By default, `z` is returned unchanged, unless the standard deviations come from the scatter of repeated
-        tests.
-        """
+        """Convert errors divided by their sds, (..., n_modes), to normal scores; `z` itself if Gaussian."""
         return z if self.tests is None else self.tests.normal_scores(z)
 
     def freedom(self, noise: FloatArray, mode: int) -> FloatArray:
@@ -214,10 +210,7 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and sd of each measured frequency given the others, (n, n_modes) each, in Hz.
-
-        If an error's `freedom` is finite, the sd is of the Gaussian with the error's central 95 % interval.
-        """
+        """Return each frequency's mean and sd (of t: see `gaussian_sd`) given the others, (n, n_modes), Hz."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:

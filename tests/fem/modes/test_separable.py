@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import Geometry, SeparableModel
+from fmu.fem.modes.static import MassMoments, rigid_translation
 from fmu.fem.modes.terms import ParametricMatrix, Term, coefficient_gradients, coefficients, monomial
 
 EYE = sp.csr_array(sp.eye_array(2))
@@ -78,6 +79,11 @@ def test_powers_that_do_not_exist_are_not_finite():
 
 def matrix(rows):
     return sp.csr_array(np.array(rows, dtype=float))
+
+
+def test_powers_that_overflow_keep_their_sign():
+    values = [monomial(np.array([[-1e200]]), (power,))[0] for power in (3.0, 9.0, 10.0)]
+    assert_array_equal(values, [-np.inf, -np.inf, np.inf])
 
 
 def test_matrices_at_theta():
@@ -172,6 +178,52 @@ def test_sensor_off_the_model():
     assert model.dof(7, "rz") == 1
     with pytest.raises(ValueError, match=r"^sensor: the model has no free degree of freedom \(got node 7, 'y'\)$"):
         model.dof(7, "y")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ({"dofs": [(1, "x"), (1, "x")]}, r"dofs: must be distinct \(got \(1, 'x'\) more than once\)"),
+        ({"ties": {(5, "x"): (9, "x")}}, r"ties: must be of names in dofs \(got \(9, 'x'\) for \(5, 'x'\)\)"),
+        (
+            {"motions": {(5, "x"): {(0, "x"): 0.5, (9, "x"): 0.5}}},
+            r"motions: must be of names in dofs \(got \(9, 'x'\) for \(5, 'x'\)\)",
+        ),
+    ],
+)
+def test_names_that_are_twice_or_unknown(names, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        SeparableModel([GOOD], [GOOD], **names)
+
+
+def test_a_motion_may_be_of_a_tied_degree_of_freedom():
+    model = SeparableModel([GOOD], [GOOD], ties={(5, "x"): (1, "x")}, motions={(6, "x"): {(5, "x"): 2.0}})
+    assert_array_equal(model.observation([(6, "x")]).toarray(), [[0.0, 2.0]])
+
+
+@pytest.mark.parametrize("lines", [{"elements": [[0, 2]]}, {"masses": [-1]}, {"springs": [(0, None), (1, 2)]}])
+def test_lines_between_nodes_that_do_not_exist(lines):
+    nodes = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    with pytest.raises(ValueError, match=r"^\w+: must be at rows of nodes, 0 to 1 \(got (2|-1)\)$"):
+        Geometry(nodes, **{"elements": [[0, 1]]} | lines)
+
+
+@pytest.mark.parametrize("ids", [None, [1, 2]])
+def test_a_node_that_is_free_along_a_skew_axis_moves_by_the_part_along_it(ids):
+    """Two nodes of 2 kg, of which the second slides along (0.6, 0.8, 0), and a third that follows the first."""
+    nodes = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    geometry = Geometry(nodes, [[0, 1]], ids=ids) if ids else None
+    skew = {(2, "x"): {(2, "x"): 0.6}, (2, "y"): {(2, "x"): 0.8}}
+    follower = {(3, "x"): {(1, "x"): 1.0, (2, "x"): 0.5}}
+    model = SeparableModel(
+        [Term(np.eye(3), (0.0,))], [Term(2.0 * np.eye(3), (0.0,))], [(1, "x"), (1, "y"), (2, "x")],
+        geometry, motions=follower | skew,
+    )  # fmt: skip
+    expected = [[1.0, 0.0, 0.6], [0.0, 1.0, 0.8], [0.0, 0.0, 0.0]]
+    assert_array_equal([rigid_translation(model, d) for d in ("x", "y", "z")], expected)
+    moments = MassMoments(model, np.ones(1), with_centre=False)
+    assert moments.direction == "y"
+    assert_allclose(moments(np.ones((1, 1)))[0], [[2.0 + 2.0 * 0.8**2]], rtol=1e-14)
 
 
 def test_a_dense_matrix_is_a_term_too():

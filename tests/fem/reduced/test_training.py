@@ -13,9 +13,9 @@ from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.reference_modes import reference_modes
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
-from fmu.fem.reduced import training
+from fmu.fem.reduced import confirming, training
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.learning import count_needed
+from fmu.fem.reduced.learning import Learner, count_needed
 from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import restore, train
 from fmu.fem.reduced.training import EXACT_LIMIT, Training
@@ -248,6 +248,19 @@ def test_too_few_points_are_made_up_for_by_fresh_ones(monkeypatch):
     theta = box_points(lower, upper, 64, seed=99)
     exact, reduced = (rule.solve(m, theta) for m in (full, trained.blocks))
     assert_allclose(frequency_hz(reduced.eigenvalues), frequency_hz(exact.eigenvalues), rtol=2e-6)
+
+
+@pytest.mark.parametrize(("large", "counted"), [(40, {24}), (1000, {24, 48})])
+def test_modes_are_counted_in_blocks_whose_solves_do_not_count_them(monkeypatch, large, counted):
+    """Solves of large blocks start from the modes of the basis, and count."""
+    seen, counts = set(), Learner.counts_the_same
+    monkeypatch.setattr(confirming, "LARGE", large)
+    monkeypatch.setattr(
+        Learner, "counts_the_same", lambda self, *args: seen.add(self.block.size) or counts(self, *args)
+    )
+    model, lower, upper = two_groups()
+    full_and_trained(model, IndexPairing(tuple(range(1, 13))), lower, upper)
+    assert seen == counted
 
 
 def test_a_tighter_tolerance_is_kept():
