@@ -102,6 +102,7 @@ class HamiltonianMonteCarlo(LocalSampler):
 
     name: ClassVar[str] = "hmc"
     title: ClassVar[str] = "Hamiltonian Monte Carlo"
+    takes_warp: ClassVar[bool] = True
     colour: ClassVar[str] = "#0072B2"
     cost: ClassVar[tuple[float, float, float]] = (7.0, 4.0, 0.9)
     first: ClassVar[tuple[int, int]] = (500, 250)
@@ -161,16 +162,22 @@ class HamiltonianMonteCarlo(LocalSampler):
             return self
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
 
-    def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
-        """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""
-        return self if self.inverse_mass is not None else replace(self, inverse_mass=covariance)
+    def take_covariance(self, covariance: FloatArray, warp: Warp | None = None) -> HamiltonianMonteCarlo:
+        """Return a copy with the covariance as M⁻¹, in the coordinates of `warp`.
+
+        `self` is returned if `inverse_mass` is given.
+        """
+        if self.inverse_mass is not None:
+            return self
+        bent = self.bent if warp is None or not warp.bent.any() else tuple(warp.bent.tolist())
+        return replace(self, inverse_mass=covariance, bent=bent)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
         """Return a tuner that learns the settings in `steps` warm-up steps, or None if `step_size` is given."""
         is_bending = self.inverse_mass is None or self.bent is not None
         return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None
 
-    def local_tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
+    def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
         """Return a tuner as `tuner` does, which transforms no coordinate unless `bent` is given."""
         is_bending = self.bent is not None
         return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None

@@ -8,12 +8,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from fmu.samplers.kernel import Info, Sampler, State, Target, Tuner
 from fmu.types import BoolArray, FloatArray, LogDensity
+
+if TYPE_CHECKING:
+    from fmu.samplers.mixture.warp import Warp
 
 
 class LocalSampler(Sampler):
@@ -24,20 +27,23 @@ class LocalSampler(Sampler):
     """
 
     is_local: ClassVar[bool] = True
+    takes_warp: ClassVar[bool] = False
+    """Whether steps can be taken in the coordinates of a warp."""
 
     @abstractmethod
     def bind(self, density: LogDensity) -> LocalKernel:
         """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
-    def take_covariance(self, covariance: FloatArray) -> Self:
+    def take_covariance(self, covariance: FloatArray, warp: Warp | None = None) -> Self:
         """Return a copy whose steps are adapted to a covariance, shape (ndim, ndim).
 
-        The base class returns `self`, as derived classes do if the settings already specify the steps.
+        If `warp` is given, which needs `takes_warp`, the covariance is in its coordinates. The base class returns
+        `self`, as derived classes do if the settings already specify the steps.
         """
         return self
 
-    def local_tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return a tuner for steps inside another sampler; by default the one that `tuner` returns."""
+    def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
+        """Return a tuner of kernels that tempering can join; by default the one that `tuner` returns."""
         return self.tuner(density, chains, steps)
 
 

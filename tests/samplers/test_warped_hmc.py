@@ -143,4 +143,4 @@ def test_a_tuner_that_is_restored_has_the_coordinates_of_the_other():
     assert other.kernel.warp.bent[0]
     ends = [one.kernel.step(np.random.default_rng(1), state)[0] for one in (tuner, other)]
     assert_array_equal(ends[0].position, ends[1].position)
-    assert settings.local_tuner(target, 4, 200).learner.choose_warp is None
+    assert settings.rung_tuner(target, 4, 200).learner.choose_warp is None

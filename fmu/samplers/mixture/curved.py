@@ -10,6 +10,7 @@ from scipy.special import gammaln, logsumexp
 from fmu.samplers.kernel import Tree
 from fmu.samplers.mixture.bent import PENALTY, BentGaussians, fit_gaussians
 from fmu.samplers.mixture.curve import Curve, fit_curve, thin_points
+from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray
 
 _WIDE, _SAFE = 0.1, 0.05
@@ -95,9 +96,13 @@ class CurvedMixture:
         bent = logsumexp(each, axis=(0, 1)) + log_slope
         return np.asarray(np.logaddexp(np.log1p(-_SAFE) + bent, np.log(_SAFE) + safe))
 
-    def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the covariance of `n` draws that are clipped to the bounds, shape (ndim, ndim)."""
+    def covariance_within(self, rng: np.random.Generator, n: int, warp: Warp | None = None) -> FloatArray:
+        """Return the covariance of `n` draws that are clipped to the bounds, shape (ndim, ndim).
+
+        It is of u or, if `warp` is given, of its coordinates.
+        """
         u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
+        u = u if warp is None else warp.to_x(u)
         ndim = len(self.mean)
         return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
 

@@ -119,13 +119,15 @@ class Mixture:
             x[part == k] = self._parts[k].draw(rng, int(np.sum(part == k)))
         return self.warp.to_u(x)
 
-    def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the weighted mean of the components' covariances, (ndim, ndim), each estimated from `n` draws."""
-        ndim = len(self.warp.lower)
-        total = 1e-12 * np.eye(ndim)
+    def covariance_within(self, rng: np.random.Generator, n: int, warp: Warp | None = None) -> FloatArray:
+        """Return the weighted mean of the components' covariances, each estimated from `n` draws.
+
+        They are of u or, if `warp` is given, of its coordinates.
+        """
+        total = 1e-12 * np.eye(ndim := len(self.warp.lower))
         for k, weight in enumerate(self.weights):
-            one = self._parts[int(np.argmax(self._of == k))]
-            total += weight * np.cov(self.warp.to_u(one.draw(rng, n)).T).reshape(ndim, ndim)
+            u = self.warp.to_u(self._parts[int(np.argmax(self._of == k))].draw(rng, n))
+            total += weight * np.cov((u if warp is None else warp.to_x(u)).T).reshape(ndim, ndim)
         return total
 
     def log_density(self, u: FloatArray) -> FloatArray:

@@ -123,7 +123,7 @@ class Tempering(Sampler):
 
         Return None if the ladder is given and the kernel has nothing to learn.
         """
-        learns = not self._is_by_rung and self.kernel.local_tuner(density, chains, steps) is not None
+        learns = not self._is_by_rung and self.kernel.rung_tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 
     @property
@@ -194,7 +194,7 @@ class LadderTuner:
         self.log_likelihood = []
         above = len(temperatures) - 1
         settings, steps = self.sampler.kernel, self.lengths[0]
-        tuners = [settings.local_tuner(self.density, self.chains, steps) for _ in range(above)]
+        tuners = [settings.rung_tuner(self.density, self.chains, steps) for _ in range(above)]
         self.tuners = [tuner for tuner in tuners if tuner is not None]
         self._take_kernels([tuner.kernel for tuner in self.tuners] or [self.bound.kernels[0]] * above)
 

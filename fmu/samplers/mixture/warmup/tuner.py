@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.random import default_rng
 
 from fmu.samplers.kernel import Info, Sampler, State, Target, Tree, Tuner
 from fmu.samplers.mixture.curve import fit_infinite_margins
@@ -55,7 +56,8 @@ class MixtureTuner:
     The candidates are importance-weighted by the combined density of all mixtures that proposed them (AMIS,
     Cornuet et al. 2012). If no components are given, up to half of the warm-up consists of local steps, and the
     first mixture is fitted to their draws. If a chain or a candidate has found a maximum that the mixture misses,
-    a component is added there. After the first fit, local steps are adapted to the mixture's covariance.
+    a component is added there. Local steps are adapted to the covariance and the coordinates of the first fit, and
+    again if a later one transforms other coordinates.
 
     If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps are
     then tuned to their own draws if enough steps remain. Later fits also use these draws. Candidates take over
@@ -86,19 +88,19 @@ class MixtureTuner:
         self.switched = -1  # step at which local steps began to prevail; -1 if they do not
         self.walk = 0, 0.0  # local steps without a mixture or while they prevail, and their solves per chain
         self.is_bent = self.has_tried = False  # a curved mixture is needed; a fit of one was tried
-        self.covariance: FloatArray | None = None
+        self.adapted = -1, 0  # stage to which local steps are adapted, and the steps that remained then
         self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
         given = sampler.mixture(density)
         if given is None:
-            self.local = self.local_settings.local_tuner(density, chains, self.first)
+            self.local = self.local_settings.tuner(density, chains, self.first)
         else:
             self._begin_with(given)
         self._take_kernel()
 
     @property
     def mixture(self) -> Mixture | CurvedMixture | None:
-        """The current mixture; None before the first fit."""
+        """The mixture in use; None before the first fit."""
         return self.stages[-1] if self.stages else None
 
     @property
@@ -140,7 +142,8 @@ class MixtureTuner:
         if self.done in self.fit_at and self.drawn.log_prob.size:
             spent = self._fit(state)
             if self.done >= self.fit_at[_JUDGED]:
-                spent = _sum(spent, self._choose_steps(state))
+                more = self._choose_steps(state)
+                spent = more if spent is None else spent if more is None else spent + more
             self.accepted, self.jumped = np.zeros(self.chains), 0
         elif self.switched >= 0 and self.is_bent and self._has_walked and self._can_learn:
             spent = self._learn_curved(state)
@@ -173,7 +176,7 @@ class MixtureTuner:
             "has_tried": int(self.has_tried),
             "stages": {str(k): stage.arrays() for k, stage in enumerate(self.stages)},
             "counts": list(self.counts),
-            "covariance": self.covariance,
+            "adapted": list(self.adapted),
             "local": None if self.local is None else self.local.state(),
         }
 
@@ -193,7 +196,7 @@ class MixtureTuner:
             for one in (stages[str(k)] for k in range(len(stages)))
         ]
         if self.stages:
-            self._take_covariance(state["covariance"])
+            self._adapt_local(*map(int, state["adapted"]))
             if self.switched >= 0:
                 self._prefer_local()
         if self.local is not None:
@@ -203,7 +206,7 @@ class MixtureTuner:
     def _begin_with(self, mixture: Mixture | CurvedMixture) -> None:
         """Make `mixture` the current mixture and adapt the local steps to its covariance."""
         self._take(mixture)
-        self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
+        self._adapt_local(len(self.stages) - 1, self.steps - self.first)
 
     def _fit_to_draws(self) -> None:
         """Fit the first mixture to the draws of local steps and make it the current mixture."""
@@ -222,6 +225,7 @@ class MixtureTuner:
         n, mixture = len(u), self.gaussians
         if mixture is None or not n:
             return None
+        bent = mixture.warp.bent
         seen_u = np.concatenate([u, state.position, self.visited.position])
         seen_log_prob = np.concatenate([log_prob, state.log_prob, self.visited.log_prob])
         seen = Seen(seen_u, seen_log_prob, self._log_density_so_far(seen_u), n, self.chains)
@@ -244,6 +248,8 @@ class MixtureTuner:
             mixture = self._at_last(mixture, Points.weigh_draws(u, log_prob, seen.log_q[:n]))
         if mixture is not self.mixture:
             self._take(mixture)
+            if self.switched < 0 and not np.array_equal(mixture.warp.bent, bent):
+                self._adapt_local(len(self.stages) - 1, self.steps - self.done)
         return spent
 
     def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
@@ -328,7 +334,7 @@ class MixtureTuner:
         self.has_tried = True
         draws = self.walked if self.switched >= 0 else self.visited
         later = draws.position[len(draws.position) // 3 :]
-        rng = np.random.default_rng(state.position.view(np.uint64).ravel())  # depends on the seed of the run
+        rng = default_rng(state.position.view(np.uint64).ravel())  # depends on the seed of the run
         most = _CANDIDATES * self.steps * self.chains
         mixture, efficiency, n_solves = learn_in_rounds(self.target, later, rng, most)
         if mixture is not None and efficiency >= (_WORTH if self.is_bent else ENOUGH):
@@ -348,7 +354,7 @@ class MixtureTuner:
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
             self.local_settings = self.sampler.local_of(self.density)
-            self.local = self.local_settings.local_tuner(self.density, self.chains, steps)
+            self.local = self.local_settings.tuner(self.density, self.chains, steps)
 
     def _cycle(self, wide: float) -> tuple[int, int]:
         """Return the numbers of local steps and of candidates per cycle."""
@@ -377,23 +383,18 @@ class MixtureTuner:
         self.stages.append(mixture)
         self.counts.append(0)
 
-    def _take_covariance(self, covariance: FloatArray) -> None:
-        self.covariance = covariance
-        cycle = self.sampler.local_steps + self.sampler.jumps_with(WIDE)
-        remaining = max((self.steps - self.first) * self.sampler.local_steps // cycle, 1)
-        local = self.sampler.local_of(self.density)
-        if self.gaussians is None and self.sampler.local is None:
+    def _adapt_local(self, stage: int, steps: int) -> None:
+        """Start tuning local steps, adapted to the mixture of a stage, with `steps` remaining steps of warm-up."""
+        self.adapted = stage, steps
+        mixture, local = self.stages[stage], self.sampler.local_of(self.density)
+        if mixture.gaussians is None and self.sampler.local is None:
             local = Slice()  # gradients of such a density are not informative at a standard deviation's distance
-        self.local_settings = local.take_covariance(covariance)
-        self.local = self.local_settings.local_tuner(self.density, self.chains, remaining)
+        warp = mixture.gaussians.warp if mixture.gaussians is not None and local.takes_warp else None
+        self.local_settings = local.take_covariance(mixture.covariance_within(default_rng(0), _SAMPLE, warp), warp)
+        share = self.sampler.local_steps / (self.sampler.local_steps + self.sampler.jumps_with(WIDE))
+        self.local = self.local_settings.tuner(self.density, self.chains, max(int(steps * share), 1))
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
         steps, jumps = self._cycle(WIDE)
         self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages), gathers=True)
-
-
-def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
-    if one is None or other is None:
-        return other if one is None else one
-    return one + other
