@@ -102,7 +102,6 @@ class HamiltonianMonteCarlo(LocalSampler):
 
     name: ClassVar[str] = "hmc"
     title: ClassVar[str] = "Hamiltonian Monte Carlo"
-    takes_warp: ClassVar[bool] = True
     colour: ClassVar[str] = "#0072B2"
     cost: ClassVar[tuple[float, float, float]] = (7.0, 4.0, 0.9)
     first: ClassVar[tuple[int, int]] = (500, 250)
@@ -162,15 +161,15 @@ class HamiltonianMonteCarlo(LocalSampler):
             return self
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
 
-    def take_covariance(self, covariance: FloatArray, warp: Warp | None = None) -> HamiltonianMonteCarlo:
-        """Return a copy with the covariance as M⁻¹, in the coordinates of `warp`.
+    def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
+        """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""
+        return self if self.inverse_mass is not None else replace(self, inverse_mass=covariance)
 
-        `self` is returned if `inverse_mass` is given.
-        """
-        if self.inverse_mass is not None:
-            return self
-        bent = self.bent if warp is None or not warp.bent.any() else tuple(warp.bent.tolist())
-        return replace(self, inverse_mass=covariance, bent=bent)
+    def take_warp(self, warp: Warp) -> HamiltonianMonteCarlo | None:
+        """Return a copy with the bent coordinates of a warp, or None if there are none or settings are given."""
+        if not warp.bent.any() or self.bent is not None or self.inverse_mass is not None:
+            return None
+        return replace(self, bent=tuple(warp.bent.tolist()))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
         """Return a tuner that learns the settings in `steps` warm-up steps, or None if `step_size` is given."""

@@ -27,20 +27,21 @@ class LocalSampler(Sampler):
     """
 
     is_local: ClassVar[bool] = True
-    takes_warp: ClassVar[bool] = False
-    """Whether steps can be taken in the coordinates of a warp."""
 
     @abstractmethod
     def bind(self, density: LogDensity) -> LocalKernel:
         """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
-    def take_covariance(self, covariance: FloatArray, warp: Warp | None = None) -> Self:
+    def take_covariance(self, covariance: FloatArray) -> Self:
         """Return a copy whose steps are adapted to a covariance, shape (ndim, ndim).
 
-        If `warp` is given, which needs `takes_warp`, the covariance is in its coordinates. The base class returns
-        `self`, as derived classes do if the settings already specify the steps.
+        The base class returns `self`, as derived classes do if the settings already specify the steps.
         """
         return self
+
+    def take_warp(self, warp: Warp) -> Self | None:
+        """Return a copy that takes steps, and covariances, in the coordinates of a warp; by default None."""
+        return None
 
     def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
         """Return a tuner of kernels that tempering can join; by default the one that `tuner` returns."""

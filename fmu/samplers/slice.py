@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,9 +15,6 @@ from fmu.samplers.kernel import Info, State, Target, Tree
 from fmu.samplers.local import LocalKernel, LocalSampler
 from fmu.samplers.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
-
-if TYPE_CHECKING:
-    from fmu.samplers.mixture.warp import Warp
 
 START_WIDTH = 0.5
 """Width of the initial interval, in scaled units, before anything is learnt."""
@@ -99,7 +96,7 @@ class Slice(LocalSampler):
         """Return a tuner that learns widths and axes in `steps` warm-up steps, or None if `width` is given."""
         return SliceTuner(self, density, steps) if self.width is None else None
 
-    def take_covariance(self, covariance: FloatArray, warp: Warp | None = None) -> Slice:
+    def take_covariance(self, covariance: FloatArray) -> Slice:
         """Return a copy with intervals along the principal axes of a covariance, shape (ndim, ndim).
 
         Return `self` if `width` or `axes` is given.

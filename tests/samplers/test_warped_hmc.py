@@ -5,9 +5,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
-from fmu.samplers import HamiltonianMonteCarlo, run
+from fmu.samplers import HamiltonianMonteCarlo, MixtureSampler, run
 from fmu.samplers.kernel import State
 from fmu.samplers.mixture.warp import Warp, WarpedDensity
+from fmu.samplers.settings import describe
 from tests.samplers.targets import CorrelatedGaussian, Quadrature, TruncatedGaussian
 
 
@@ -131,16 +132,31 @@ def test_a_given_metric_keeps_the_coordinates_and_a_mask_must_fit():
         HamiltonianMonteCarlo(bent=(True, False, True)).bind(WeakSpring())
 
 
-def test_a_tuner_that_is_restored_has_the_coordinates_of_the_other():
-    target, settings, rng = WeakSpring(), HamiltonianMonteCarlo(), np.random.default_rng(2)
-    tuner, other = (settings.tuner(target, 4, 200) for _ in range(2))
+@pytest.mark.parametrize(("settings", "steps"), [(HamiltonianMonteCarlo(), 80), (MixtureSampler(), 250)])
+def test_a_tuner_that_is_restored_has_the_coordinates_of_the_other(settings, steps):
+    target, rng = WeakSpring(), np.random.default_rng(2)
+    tuner, other = (settings.tuner(target, 4, 300) for _ in range(2))
     state, _ = tuner.kernel.init(target.sample_prior(rng, 4))
-    for _ in range(80):
+    for _ in range(steps):
         state, info = tuner.kernel.step(rng, state)
         tuner.update(state, info)
     other.restore(tuner.state())
-    assert other.kernel.warp.bent.tolist() == tuner.kernel.warp.bent.tolist()
-    assert other.kernel.warp.bent[0]
-    ends = [one.kernel.step(np.random.default_rng(1), state)[0] for one in (tuner, other)]
-    assert_array_equal(ends[0].position, ends[1].position)
-    assert settings.rung_tuner(target, 4, 200).learner.choose_warp is None
+    for _ in range(20):
+        ends = []
+        for one, seed in ((tuner, 1), (other, 1)):
+            end, info = one.kernel.step(np.random.default_rng(seed), state)
+            one.update(end, info)
+            ends.append(end)
+        assert_array_equal(ends[0].position, ends[1].position)
+        state = ends[0]
+    assert describe(tuner.finish_learning()) == describe(other.finish_learning())
+
+
+def test_local_steps_of_a_mixture_follow_the_coordinates_of_its_fit():
+    learnt = run(WeakSpring(), MixtureSampler(), draws=1, warmup=600, chains=4, seed=5, init="prior").learnt
+    assert learnt["bent"][0]
+    assert learnt["local"]["bent"] == learnt["bent"]
+
+
+def test_tempering_keeps_the_coordinates():
+    assert HamiltonianMonteCarlo().rung_tuner(WeakSpring(), 4, 200).learner.choose_warp is None

@@ -347,10 +347,7 @@ class MixtureTuner:
         return spent
 
     def _prefer_local(self) -> None:
-        """Start tuning local steps to their own draws, if enough steps remain.
-
-        Otherwise they continue as adapted to the mixture.
-        """
+        """Tune local steps to their own draws, or leave them adapted to the mixture if too few steps remain."""
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
             self.local_settings = self.sampler.local_of(self.density)
@@ -389,10 +386,13 @@ class MixtureTuner:
         mixture, local = self.stages[stage], self.sampler.local_of(self.density)
         if mixture.gaussians is None and self.sampler.local is None:
             local = Slice()  # gradients of such a density are not informative at a standard deviation's distance
-        warp = mixture.gaussians.warp if mixture.gaussians is not None and local.takes_warp else None
-        self.local_settings = local.take_covariance(mixture.covariance_within(default_rng(0), _SAMPLE, warp), warp)
-        share = self.sampler.local_steps / (self.sampler.local_steps + self.sampler.jumps_with(WIDE))
-        self.local = self.local_settings.tuner(self.density, self.chains, max(int(steps * share), 1))
+        warp = None if mixture.gaussians is None else mixture.gaussians.warp
+        bent = None if warp is None else local.take_warp(warp)
+        covariance = mixture.covariance_within(default_rng(0), _SAMPLE, warp if bent else None)
+        self.local_settings = (bent or local).take_covariance(covariance)
+        cycle = self.sampler.local_steps + self.sampler.jumps_with(WIDE)
+        of_local = max(steps * self.sampler.local_steps // cycle, 1)
+        self.local = self.local_settings.tuner(self.density, self.chains, of_local)
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
