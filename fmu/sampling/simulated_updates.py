@@ -180,24 +180,28 @@ class SimulatedTests:
     def cases(self) -> pd.DataFrame:
         """Return a table of the plan's tests and parameters with a ratio outside 0.7 to 1.4, worst first.
 
-        The ratio is the real standard deviation divided by the expected one. It is the product of three factors. A
-        ratio of NaN is listed too. The columns are:
+        The ratio is the real standard deviation divided by the expected one, and is the product of the columns
+        ``true values``, ``noise`` and ``shape``. Rows with a ratio of NaN come first. The columns are:
 
         - ``test`` (from 1), ``parameter`` and ``ratio``;
-        - ``true values``: standard deviation linearised at the true parameters, divided by the expected one;
-        - ``noise``: standard deviation linearised at the posterior mean, divided by the one at the true values;
-        - ``shape``: real standard deviation, divided by the one linearised at the posterior mean;
+        - ``true values``: standard deviation of the posterior linearised at the true parameters, divided by the
+          expected one;
+        - ``noise``: standard deviation of the posterior linearised at its mean, divided by that of the posterior
+          linearised at the true parameters;
+        - ``shape``: real standard deviation, divided by that of the posterior linearised at its mean;
         - ``at_bounds``: fraction of draws close to a bound; 0 without two finite bounds;
-        - ``skewness``;
+        - ``skewness``: skewness of the draws;
         - ``crossed``: fraction of draws with modes in another order;
-        - ``reason``.
+        - ``reason``: ``"not converged"`` if the chains did not converge; otherwise the factor furthest from 1,
+          ``"true values"`` or ``"noise"``, with ``shape`` explained by ``"bounds"``, ``"modes cross"`` or
+          ``"bent posterior"``.
         """
         ratios, updates = self.ratios(), self.updates[PLANNED]
         off = np.argwhere((ratios < AGREES[0]) | (ratios > AGREES[1]) | np.isnan(ratios))
-        ranked = sorted(off.tolist(), key=lambda at: -abs(np.log(ratios[tuple(at)])))
+        worst = np.argsort(-np.nan_to_num(np.abs(np.log(ratios[*off.T])), nan=np.inf), kind="stable")
         rows = [
             {"test": t + 1, "parameter": self.names[k], **updates.explain(t, k, self.expected[PLANNED][k])}
-            for t, k in ranked
+            for t, k in off[worst].tolist()
         ]
         columns = ("test", "parameter", "ratio", TRUTH, NOISE, "shape", "at_bounds", "skewness", "crossed")
         return data_frame(

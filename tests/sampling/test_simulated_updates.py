@@ -1,5 +1,7 @@
 """Why real and expected standard deviations of simulated tests differ."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,17 @@ def test_agreement_needs_no_reason():
     found = SimulatedTests(("k",), {PLANNED: np.ones(1)}, {PLANNED: updates(real=1.2)})
     assert len(found.cases()) == 0
     assert len(found.sentences()) == 1
+
+
+def test_ratios_without_a_value_come_first_and_then_the_worst():
+    ratios = np.array([[0.1, 1.0, 20.0, np.nan, 1.5, 0.01, np.nan]])
+    of = updates()
+    at = {
+        name: np.broadcast_to(getattr(of, name), ratios.shape)
+        for name in ("at_truth", "at_mean", "at_bounds", "skewness")
+    }
+    found = SimulatedTests(tuple("abcdefg"), {PLANNED: np.ones(7)}, {PLANNED: replace(of, real=ratios, **at)})
+    assert "".join(found.cases()["parameter"]) == "dgfcae"
 
 
 def one_stiffness(*parameter):

@@ -49,7 +49,10 @@ class ErrorModel(Protocol):
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if `data` give standard deviations or a covariance of these errors; `sd` overrides them."""
+        """Return True if the data contain standard deviations or a covariance of these errors.
+
+        The result does not depend on `sd`, which overrides the data.
+        """
         ...
 
 

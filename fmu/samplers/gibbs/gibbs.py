@@ -254,10 +254,10 @@ class GibbsKernel(MovesWithErrors):
         scales: FloatArray = REGULAR,
         part: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Move the scores of the tests in `part`; return theta, log-likelihood terms and fractions of moved tests.
+        """Propose new scores for the tests in `part` (all tests if None), and accept or reject them test by test.
 
-        If `part` is None, the scores of all tests move. The terms have shape (chains, n_terms), the fractions
-        (chains,).
+        Return theta, the log-likelihood terms, shape (chains, n_terms), and the fraction of all tests whose scores
+        were accepted, shape (chains,).
         """
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z = of.scores.take(theta)

@@ -1,8 +1,9 @@
 """Select sensors greedily by expected information, then exchange one sensor at a time.
 
-For independent errors the greedy choice reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher
-1978, *Math. Program.* 14, 265–294). This does not hold for mode shapes of unknown scale; `bound` then shows how
-far a choice can be from the best.
+If the errors are independent, all parameters matter and only the number of sensors is limited, greedy selection
+reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher 1978, *Math. Program.* 14, 265–294). There
+is no such guarantee with a budget, a minimum distance or target quantities, nor for mode shapes of unknown scale,
+which are assumed here. `fmu.analysis.plan.sensors.bound` shows how far a choice can be from the best.
 """
 
 from __future__ import annotations

@@ -68,8 +68,9 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
     ImportError
         If sdypy-EMA is not installed.
     ValueError
-        If the lines are not evenly spaced or too few, no FRF has the reference, there is no resonance or no stable
-        pole, or a shape is too complex to be treated as real.
+        If there are too few lines, the lines are not evenly spaced at multiples of their spacing, no FRF has the
+        reference, there is no resonance or no stable pole, sdypy-EMA fails, or a shape is too complex to be
+        treated as real.
     """
     rows, sensors = _of_reference(spectra, reference)
     lines = np.flatnonzero(spectra.used[rows].any(axis=0))
