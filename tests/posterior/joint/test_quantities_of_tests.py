@@ -106,9 +106,9 @@ def test_each_is_of_the_structure_as_it_was_in_its_test():
         {"k1": "test", "k2": "group"},
         {"k1": fmu.Population(), "mu": fmu.Population("log-normal")},
         {
-            "k1": fmu.Population(),
-            "k2": fmu.Damage(),
-            "options": {"slopes": {"k1": {"temperature": fmu.Normal(0.01)}}},
+            "k1": fmu.Damage(),
+            "k2": fmu.Population(),
+            "options": {"slopes": {"k2": {"temperature": fmu.Normal(0.01)}}},
         },
         {"k1": fmu.Population(), "k2": fmu.Population(), "options": {"correlation": 2.0}},
     ],
