@@ -5,15 +5,15 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-import numpy as np
-
 import fmu
+from fmu.analysis.maxima.starts import components, starts_at_maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
-from fmu.samplers.registry import plan_steps
-from tests.benchmarks.peers.ensembles import ENSEMBLES, walkers_for
+from fmu.samplers.registry import make_sampler, plan_steps
+from tests.benchmarks.peers.ensembles import walkers_for
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
+CHAINS = 4
 MOST_SOLVES = 300_000
 """Solves after which a run of fmu is ended."""
 
@@ -39,16 +39,15 @@ def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:
     with meter.counting():
         problem = copy.copy(target.problem)  # whose maxima are not known yet
         maxima = fmu.find_map(problem)
-        search = meter.read()
         warmup, draws = plan_steps(name, None, None)
-        sampler, init = name, "maxima"
-        if name == "emcee":  # whose walkers begin around the maxima of a problem, and at the prior of a density
-            walkers = walkers_for(target.problem.ndim)
-            sampler = fmu.Ensemble(walkers)
-            init = np.stack([problem.walkers(walkers, 10 * seed + k) for k in range(ENSEMBLES)])
+        # as for a problem: `fmu.sample` begins with a density alone at its prior
+        sampler = fmu.Ensemble(walkers_for(problem.ndim)) if name == "emcee" else make_sampler(name)
+        start = starts_at_maxima(problem, maxima, CHAINS, sampler.walkers, seed)
+        sampler = sampler.starting_from(*components(problem, maxima))
+        search = meter.read()
         trace = fmu.sample(
-            WithoutModel(problem), sampler, maxima=maxima, init=init, seed=seed, until_ess=enough,
-            progress=progress, warmup=warmup, draws=draws, max_solves=MOST_SOLVES,
+            WithoutModel(problem), sampler, maxima=maxima, init=start, seed=seed, until_ess=enough,
+            progress=progress, warmup=warmup, draws=draws, chains=CHAINS, max_solves=MOST_SOLVES,
         )  # fmt: skip
     found = fmu.evidence(trace) if name == "mixture" else None
     return Run.of_chains(
