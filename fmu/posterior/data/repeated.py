@@ -200,7 +200,7 @@ def gaussian_sd(nu: ArrayLike) -> FloatArray:
 
 
 def student_scores(z: FloatArray, nu: ArrayLike) -> FloatArray:
-    """Convert errors t, given as z = t/`gaussian_sd`(ν), to the normal scores Φ⁻¹(F(t)) by Student's F."""
+    """Convert errors z = t/s of Student's t, where s is `gaussian_sd` of ν, to the normal scores Φ⁻¹(F(t))."""
     from scipy.special import ndtri, stdtr
 
     # in the lower tail, where the probability is not rounded to 1
