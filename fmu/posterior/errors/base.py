@@ -49,10 +49,7 @@ class ErrorModel(Protocol):
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if the data contain standard deviations or a covariance of these errors.
-
-        The result does not depend on `sd`, which overrides the data.
-        """
+        """Return True if the data have standard deviations or a covariance of these errors, whatever `sd` is."""
         ...
 
 

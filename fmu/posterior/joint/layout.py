@@ -127,8 +127,7 @@ class Layout:
     def losses(self, theta: FloatArray) -> FloatArray:
         """Return the losses 1 − θ/θ_reference for the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        The losses include neither trends with covariates nor scatter between tests. If a parameter varies by
-        ``"group"`` and is known in every test of a group, the value known in the group's first test is used.
+        Trends and scatter are left out. If all tests of a group know a parameter, the value in the first is used.
 
         Parameters
         ----------
