@@ -36,14 +36,14 @@ class _Tail(NamedTuple):
 def pareto_k(log_w: FloatArray) -> float:
     """Return the Pareto shape parameter k of importance weights, given their logarithms (n,).
 
-    k is infinite if fewer than five weights form the tail, if the largest weights are all equal, as in a chain
-    that has not moved, or if the fit is undefined. It is minus infinity if all weights are equal, and NaN if the
-    lower quarter of the tail is constant.
+    k is infinite if there are no weights, if fewer than five form the tail, if the largest are all equal, as in a
+    chain that has not moved, or if the fit is undefined. It is minus infinity if all weights are equal, and NaN if
+    the lower quarter of the tail is constant.
     """
     try:
         return _tail(log_w - np.max(log_w)).shape
     except ValueError:
-        return np.inf if np.ptp(log_w) > 0 else -np.inf
+        return -np.inf if log_w.size and np.ptp(log_w) == 0 else np.inf
 
 
 def heavy_tail_in_words(k: float) -> str:
