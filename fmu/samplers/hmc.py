@@ -201,19 +201,18 @@ class WarpedKernel(LocalKernel):
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Take a step of the inner kernel. ``energy`` is the energy in the coordinates of the warp."""
-        if state.gradient is None:
-            raise ValueError("state: must carry the gradient at its position (got None)")
+        before = state.require_gradient()
         begin = State(
             self.warp.to_x(state.position),
             state.log_prob + self.warp.log_stretch(state.position),
-            state.gradient * self.warp.stretch(state.position) + self.warp.bent,
+            before * self.warp.stretch(state.position) + self.warp.bent,
         )
         end, info = self.inner.step(rng, begin)
-        assert end.gradient is not None  # as `begin` has one
         moved = info.accepted[:, None]
         position = np.where(moved, self.warp.to_u(end.position), state.position)
         log_prob = np.where(info.accepted, end.log_prob - self.warp.log_stretch(position), state.log_prob)
-        gradient = np.where(moved, (end.gradient - self.warp.bent) / self.warp.stretch(position), state.gradient)
+        after = (end.require_gradient() - self.warp.bent) / self.warp.stretch(position)
+        gradient = np.where(moved, after, before)
         return State(position, log_prob, gradient), replace(info, log_prob=log_prob)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:

@@ -47,6 +47,12 @@ class State:
     gradient: FloatArray | None = None
     extra: Mapping[str, AnyArray] = field(default_factory=dict)
 
+    def require_gradient(self) -> FloatArray:
+        """Return the gradient; raise ValueError if the state has none."""
+        if self.gradient is None:
+            raise ValueError("state: must carry the gradient at its position (got None)")
+        return self.gradient
+
 
 @dataclass(frozen=True)
 class Info:

@@ -294,8 +294,7 @@ class HamiltonianKernel(LocalKernel):
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw momenta, follow one trajectory per chain, and accept or reject its end."""
-        if state.gradient is None:
-            raise ValueError("state: must carry the gradient at its position (got None)")
+        state.require_gradient()
         chains = len(state.position)
         momentum = self.metric.sample_momentum(rng, chains)
         step_size = self.step_size * (1 + self.jitter * rng.uniform(-1, 1, chains))

@@ -6,7 +6,6 @@ constants or monomials of the parameters, so their derivatives are exact.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from fmu.arguments import ArgumentError, Place, check_arguments
+from fmu.arguments import ArgumentError, Place, check_arguments, first_repeated
 from fmu.fem.modes.line_picture import LinePicture
 from fmu.fem.modes.solver import LastFactor
 from fmu.fem.modes.terms import Term, check_terms, named_term, sum_at
@@ -388,10 +387,10 @@ def _check_names(model: SeparableModel) -> None:
     """Raise ArgumentError unless the rows have distinct names, and ties and motions are of these names."""
     if len(model.dofs) != model.n_dof:
         raise ArgumentError("dofs", f"must name {model.n_dof} degrees of freedom", len(model.dofs))
+    twice = first_repeated(model.dofs)
+    if twice is not None:
+        raise ArgumentError("dofs", "must be distinct", f"{model.dofs[twice]} more than once")
     index = set(model.dofs)
-    if len(index) < model.n_dof:
-        twice = next(name for name, count in Counter(model.dofs).items() if count > 1)
-        raise ArgumentError("dofs", "must be distinct", f"{twice} more than once")
     of_ties = {name: (other,) for name, other in model.ties.items()}
     for key, sums, known in (("ties", of_ties, index), ("motions", model.motions, index | set(model.ties))):
         for name, others in sums.items():
