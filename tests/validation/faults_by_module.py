@@ -152,6 +152,8 @@ _ROWS = (
      "float(np.max(errors)) ** 2]", "float(np.max(errors))]", "analysis/convergence/test_needed.py"),
     ("maxima that were missed: entropy of a Gaussian", "analysis/maxima/missed.py",
      "np.log(2.0 * np.pi * math.e) + log_det", "np.log(2.0 * np.pi) + log_det", "analysis/maxima/test_missed.py"),
+    ("starts at maxima: poor components where several maxima matter", "analysis/maxima/starts.py",
+     "len(effective) == 1 and effective[0] < _FITS_POORLY", "effective[0] < _FITS_POORLY", "analysis/maxima/test_starts.py"),
     ("funnel of a discrepancy: a determinant of the wrong sign", "analysis/maxima/funnel.py",
      "peak - 0.5 * np.linalg.slogdet(precision)[1]", "peak + 0.5 * np.linalg.slogdet(precision)[1]", "analysis/maxima/test_funnel.py"),
     ("kinds of maxima: rise along a slope", "analysis/maxima/kinds.py",

@@ -16,6 +16,7 @@ from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.analysis.trace.densities import has_prior, is_updating
 from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.warp import Warp
 from fmu.samplers.settings import whole_number
@@ -41,6 +42,8 @@ _IN_A_NECK = 10.0
 """ESS of the draws around a maximum, of which there are hundreds, below which its quadratic model is useless."""
 _FIT_BADLY = 64.0
 """Effective draws below which a model with a discrepancy gets components for many sizes of the discrepancy."""
+_FITS_POORLY = 128.0
+"""Effective draws, of a thousand around a maximum, below which its quadratic model is a poor first component."""
 
 
 class Starts(NamedTuple):
@@ -188,6 +191,21 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
     maxima = find_map(problem) if is_searchable(problem) else None
     starts = choose_starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
     return np.asarray(starts.position)[0]
+
+
+def adapt_to_maxima[S: Sampler](settings: S, density: LogDensity, maxima: Maxima | None) -> S:
+    """Return the settings of a sampler adapted to quadratic models at the maxima (see `components`).
+
+    Only one maximum may be poor: local steps might leave out one of several. Local steps must also have exact
+    gradients at no further solve.
+    """
+    quadratics, weights, warp = components(density, maxima)
+    are_poor = False
+    if maxima is not None and warp is None and is_updating(density):
+        effective = [m.effective_draws for m in maxima if m.starting_share > NEGLIGIBLE]
+        is_fast = Target(density).solves_per_gradient == 1
+        are_poor = is_fast and len(effective) == 1 and effective[0] < _FITS_POORLY
+    return settings.starting_from(quadratics, weights, warp, are_poor=are_poor)
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:

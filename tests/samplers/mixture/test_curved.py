@@ -225,7 +225,7 @@ class Ratios(Funnel):
 
 def test_the_remedy_for_a_funnel_works_when_it_is_followed():
     """It is told by a run that could not, and the run by ratios has the moments of the funnel."""
-    said = fmu.diagnose(fmu.sample(Funnel(), draws=250, warmup=400, until_ess=400, max_solves=20_000))
+    said = fmu.diagnose(fmu.sample(Funnel(), draws=250, warmup=400, until_ess=400, max_solves=60_000))
     assert not said.converged
     assert any(RATIOS in reason for reason in said.reasons)
     trace = fmu.sample(Ratios(), draws=250, warmup=200, until_ess=400, max_solves=50_000)
