@@ -45,7 +45,7 @@ def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
 
 
 def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -> FloatArray:
-    """Return the frequency gradients ∂f/∂θ = ∂λ/∂θ / (8 π² f), which are not finite for a rigid-body mode.
+    """Return the frequency gradients ∂f/∂θ = ∂λ/∂θ / (8 π² f), which are not finite where f is 0.
 
     Parameters
     ----------

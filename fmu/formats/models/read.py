@@ -64,7 +64,8 @@ def read_model(
         File with the mass, if it is not in `path`. Defaults to the file that the program writes next to the
         stiffness: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
     mesh : path or Mesh, optional
-        Nodes and elements. Needed for Nastran's OP4, to name the rows, and for matrices along the nodes' own axes.
+        Nodes and elements. Needed to name the rows of Nastran's OP4, unless `dofs` names them, and to rotate
+        matrices from the local axes of nodes to global axes.
     dofs : path, optional
         File with the row names, one ``node,direction`` per line, if the matrices have no names.
     variables : tuple of str, optional
@@ -72,21 +73,21 @@ def read_model(
         to ``K…`` and ``M…`` with the same ending, or ``stiffness`` and ``mass``.
     tied_modes : path, optional
         ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U). They give the
-        displacements of the nodes that have no rows because of ``*TIE``, so that sensors can be there. Needs
-        `mesh`.
+        displacements of the nodes that have no rows because of ``*TIE``, so that sensors can be placed there.
+        Requires `mesh`.
 
     Returns
     -------
     ExportedModel
         The model, without rows that have no stiffness and mass, that Abaqus marks as fixed, or that the mesh's
-        constraints and supports eliminate. It is along global axes, except at nodes that a note lists: these have
-        axes of their own, and some of their degrees of freedom have no row.
+        constraints and supports eliminate. Its degrees of freedom are along global axes, except at the nodes
+        listed in a note. These nodes keep their local axes, and some of their degrees of freedom have no row.
 
     Raises
     ------
     ValueError
-        If a file does not exist, is broken, of an unknown format or of another model. The message begins with the
-        argument at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
+        If a file does not exist, is broken, has an unknown format or belongs to another model. The message begins
+        with the argument at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
     """
     path = Path(path)
     found = NO_MESH if mesh is None else mesh

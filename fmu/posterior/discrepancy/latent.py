@@ -348,8 +348,8 @@ class KnownErrors(LatentErrors):
 def _half_root(gram: FloatArray) -> FloatArray:
     """Return V h(Λ) Vᵀ for Gram matrices VΛVᵀ, shape (…, P, P); see `LatentErrors.whiten` for h.
 
-    It is computed as h(λ) = (1 − 1/√(1 + λ))/λ = 1/(s (1 + s)) with s = √(1 + λ). Entries of the Gram matrices
-    that are not finite count as 0.
+    With s = √(1 + λ), h(λ) is computed as 1/(s (1 + s)), in which no digits cancel if λ is small. Entries of the
+    Gram matrices that are not finite count as 0.
     """
     values, V = np.linalg.eigh(np.where(np.isfinite(gram), gram, 0.0))  # LAPACK fails at NaN
     s = np.sqrt(1.0 + np.maximum(values, 0.0))

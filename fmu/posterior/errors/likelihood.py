@@ -204,12 +204,12 @@ class ModalLikelihood(Likelihood):
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with random errors from the first frequency error model added.
+        """Return frequencies (n, n_modes), Hz, with random errors from the first error model for frequencies.
 
         Raises
         ------
         ValueError
-            If no error model is for frequencies, or `noise` (n, n_noise) is missing though sds are inferred.
+            If there is no error model for frequencies, or if sds are inferred and `noise` (n, n_noise) is missing.
         """
         if self.frequency_term is None:
             raise ValueError("error: must be a distribution of the frequencies to simulate them")

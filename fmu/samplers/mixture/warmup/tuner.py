@@ -297,7 +297,7 @@ class MixtureTuner:
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return the weighted finite candidates; None without any, for a curved mixture, or if `bent` is given."""
+        """Return the weighted candidates, or None if there are none, the mixture is curved or `bent` is given."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or self.sampler.bent is not None or not known.any():
