@@ -87,7 +87,7 @@ class Plan:
     long: Mapping[str, Length] = field(
         default_factory=lambda: {
             "mh": Length(20_000, 2_000, 4),
-            "slice": Length(4_000, 500, 4),
+            "slice": Length(20_000, 1_000, 4),
             "hmc": Length(2_000, 1_000, 4),
             "emcee": Length(4_000, 500, 4),
             "mixture": Length(2_000, 1_000, 4),
