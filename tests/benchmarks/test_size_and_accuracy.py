@@ -87,7 +87,7 @@ def test_classical_reductions(load, benchmark):
         rows.append([f"Craig–Bampton, five parts, {n} modes each", len(reduction.K), error(reduction.eigen(5)[0])])
     block = reduced_blocks(problem)[0]
     for size in range(8, block.size + 1, 2):
-        lam = block.truncated(size).eigenvalues(theta[None], 5)[0]
+        lam = block.truncate(size).eigenvalues(theta[None], 5)[0]
         rows.append(["parametric reduced basis", size, error(lam)])
     benchmark.pedantic(lambda: guyan(K, M, boundary), rounds=3)
     benchmark.extra_info["tables"] = [
