@@ -133,10 +133,11 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     ValueError
         If `tests` are not valid repeated tests (`fmu.posterior.data.repeated.RepeatedTests`).
     """
-    values = np.array(RepeatedTests(tests).frequencies_hz)
+    values = np.array(RepeatedTests(tests, "pooled").frequencies_hz)  # a mode's own values may be equal
     present = ~np.isnan(values)
     mean = np.nanmean(values, axis=0)
-    z = np.where(present, values - mean, 0.0)
+    differ = np.nanmax(values, axis=0) > np.nanmin(values, axis=0)
+    z = np.where(present & differ, values - mean, 0.0)
     statistics = in_random_orders(z, present, _statistics)
     given, n_modes = statistics[0], z.shape[1]
     two_sided = np.arange(len(given)) > n_modes
@@ -172,6 +173,7 @@ def _statistics(z: FloatArray, present: BoolArray) -> FloatArray:
 
     The sequences `z` (n_orders, n_tests, n_modes) are centred, and zero where a test missed a mode.
     """
-    r = lag_one(z, present)
-    trend = correlation_with(np.arange(z.shape[1], dtype=float), z, present)
+    with np.errstate(invalid="ignore"):  # 0/0 for a mode whose values are equal
+        r = np.nan_to_num(lag_one(z, present))
+        trend = np.nan_to_num(correlation_with(np.arange(z.shape[1], dtype=float), z, present))
     return np.concatenate([r, r.mean(axis=1, keepdims=True), trend], axis=1)

@@ -155,7 +155,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
     (of,) = np.nonzero(np.any(loads != 0.0, axis=0))  # the columns that have not converged
     for _ in range(_STEPS):
         if not len(of):
-            return x
+            break
         Ap = A @ p[:, of]
         curvature = np.sum(p[:, of] * Ap, axis=0)
         if not (np.all(curvature > 0.0) and np.all(gamma[of] > 0.0)):
@@ -169,7 +169,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
         gamma[of] = np.sum(r[:, of] * z[:, of], axis=0)
         p[:, of] = z[:, of] + changed / gamma_before * p[:, of]
         of = of[np.abs(gamma[of]) > _CONVERGED**2 * energy[of]]
-    raise StalledError(f"{whole(len(of))} solutions have not converged after {whole(_STEPS)} steps")
+    return _converged(x, len(of), _STEPS)
 
 
 def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
@@ -185,7 +185,7 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
     last = np.full(loads.shape[1], np.inf)
     for _ in range(_REFINED):
         if not len(of):
-            return x
+            break
         change = _solve_scaled(solve, loads[:, of] - A @ x[:, of])
         size = np.linalg.norm(change, axis=0) / np.linalg.norm(x[:, of] + change, axis=0)
         is_better = size < last[of]  # not when only rounding remains
@@ -193,7 +193,14 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
         is_done = (size <= _CONVERGED) | (~is_better & (last[of] <= np.sqrt(_CONVERGED)))
         last[of] = size
         of = of[~is_done]
-    raise StalledError(f"{whole(len(of))} solutions have not converged after {whole(_REFINED)} steps")
+    return _converged(x, len(of), _REFINED)
+
+
+def _converged(x: FloatArray, left: int, steps: int) -> FloatArray:
+    """Return the solutions x; raise StalledError if some are left that have not converged."""
+    if left:
+        raise StalledError(f"{whole(left)} solutions have not converged after {whole(steps)} steps")
+    return x
 
 
 def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:

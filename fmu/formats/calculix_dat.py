@@ -28,6 +28,8 @@ DIRECTIONS = ("x", "y", "z")
 LARGEST_FILE = 2**29
 _TABLE = "E I G E N V A L U E   O U T P U T"
 _MODE = re.compile(r"^\s*E I G E N V A L U E    N U M B E R\s+(\d+)\s*$", re.MULTILINE)
+_LOCAL = "L"
+"""Last word of a line with displacements along the axes of the node."""
 _SHAPE = "displacements (vx,vy,vz)"
 _NO_LETTER = re.compile(r"(?<=\d)([+-]\d{3})$")
 _COLUMNS, _FREQUENCY = 5, 3
@@ -109,7 +111,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
 def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
     """Return one dict per mode that maps each node id to its three displacements, still as text.
 
-    Raise ValueError unless there are `n_modes` blocks.
+    Raise ValueError unless there are `n_modes` blocks, with displacements along global axes.
     """
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
@@ -122,6 +124,9 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
             words = line.split()
             if words and not words[0].isdecimal():
                 reading = line.strip().startswith(_SHAPE)
+            elif reading and words[-1:] == [_LOCAL]:
+                rule = "has displacements along the axes of *TRANSFORM: the *NODE PRINT needs GLOBAL=YES"
+                raise ValueError(f"{name} {rule} (got node {words[0]})")
             elif reading and len(words) == 1 + len(DIRECTIONS):
                 rows[int(words[0][:10])] = words[1:]
         modes.append(rows)

@@ -81,13 +81,11 @@ def local_maxima(
     Returns
     -------
     tuple of Maximum
-        With the modal residual, empty if no ascent reaches a finite log-probability.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive or, except with the modal residual, no starting point has a log-probability
-        with a finite gradient.
+        If `starts` is not positive, or no ascent reaches a finite log-probability.
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
@@ -105,7 +103,9 @@ def local_maxima(
         points = np.concatenate(begun) if begun else points
         if easier and n_sizes is not None:
             points = _starts_with_discrepancy(problem, scaled, at_once, points, n_sizes)
-        return maxima_from(problem, scaled, points, most_solves)
+        if not (found := maxima_from(problem, scaled, points, most_solves)):
+            raise ValueError(_nowhere(problem, len(points)))
+        return found
 
 
 def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
@@ -175,7 +175,7 @@ def maxima_from(
     quadratic = GaussNewton(problem, scaled)
     reached = list[tuple[FloatArray, IntArray]]()
     for together in [points] if np.isinf(most_solves) else points[:, None]:
-        if solves() - before < most_solves:
+        if not reached or solves() - before < most_solves:
             ends = ascend(quadratic, together, scaled.lower, scaled.upper, tolerance=_ROUGH)
             reached.append(leaders(ends))
     highest, starts = (np.concatenate(parts) for parts in zip(*reached, strict=True))

@@ -138,14 +138,17 @@ class RunReader:
         ended = where != folder and at_work is None and names and set(names) <= set(finished)
         now = FINISHED if ended else _state(at_work, folder)
         verdicts = _verdicts(self.directory) if ended else {}
-        samplers, its = [], now
+        unfinished = [name for name in names if name not in finished]
+        started = [name for name in unfinished if (where / name / "group-1").exists()]
+        latest = max(started, key=lambda name: _youngest(where / name), default=next(iter(unfinished), ""))
+        samplers = []
         for name in names:
             if name in finished:
                 path = self.directory / f"{name}.nc"
                 samplers.append(SamplerReading(name, FINISHED, self._trace(path), (), verdicts.get(name, "")))
-            else:
+            else:  # an earlier one reached its limit of solves
+                its = now if name == latest else STOPPED if name in started else WAITING
                 samplers.append(self._read_sampler(name, where / name, its, orders))
-                its = WAITING
         phase = noted_phase(folder) if now == RUNNING else None
         under_way = "" if phase is None else f"{phase[0]} {phase[1]}/{phase[2]}"
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))

@@ -133,9 +133,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         own = self.in_coordinates(density)
         if self.bent is None:
             return own
-        if len(self.bent) != density.ndim:
-            raise ValueError(f"bent: must have {density.ndim} values, one per coordinate (got {len(self.bent)})")
-        warp = Warp(density.lower, density.upper, np.array(self.bent))
+        warp = Warp.of_density(density, self.bent)
         return WarpedKernel(own.target, self.in_coordinates(WarpedDensity(density, warp)), warp)
 
     def in_coordinates(self, density: LogDensity) -> HamiltonianKernel:

@@ -27,6 +27,14 @@ def test_independent_tests_are_silent(n, n_modes):
     assert FALSE_ALARMS < 0.01
 
 
+def test_a_mode_with_equal_values_is_silent(ar1):
+    """A pooled scatter allows it, where the values of another mode differ."""
+    values = np.stack([ar1(np.random.default_rng(4), (1, 60), 0.9)[0], np.ones(60)], axis=1)
+    found = of(values)
+    assert (found.autocorrelation[1], found.trend[1]) == (0.0, pytest.approx(0.0, abs=1e-12))
+    assert [one[:7] for one in found.doubts()[:-1]] == ["Mode a:"]
+
+
 def test_skewed_and_common_scatter_are_silent():
     """A temperature that moves all modes at once is no drift as long as it comes without order."""
     rng = np.random.default_rng(2)

@@ -65,6 +65,15 @@ def test_a_stopped_run(out):
     assert (watch("out/checkpoints")[0], watch("out/checkpoints")[-1]) == (lines[0], lines[-1])
 
 
+def test_a_sampler_that_reached_its_limit_is_not_at_work(out):
+    """The one whose files are the youngest is."""
+    shutil.copytree(out / "checkpoints" / "emcee", out / "checkpoints" / "mixture")
+    os.utime(next((out / "checkpoints" / "mixture" / "group-1").iterdir()), (2e9, 2e9))
+    announce(out / "checkpoints")
+    rows = {line.split()[0]: line.split() for line in watch("out") if line}
+    assert (rows["emcee"][2], rows["mixture"][2]) == ("stopped", "running")
+
+
 def test_as_json(out):
     (line,) = watch("out", "--json")
     told = json.loads(line)

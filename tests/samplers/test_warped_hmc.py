@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.samplers import HamiltonianMonteCarlo, MixtureSampler, run
 from fmu.samplers.kernel import State
+from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.warp import Warp, WarpedDensity
 from fmu.samplers.settings import describe
 from tests.samplers.targets import CorrelatedGaussian, Quadrature, TruncatedGaussian
@@ -66,6 +67,25 @@ def test_the_target_is_the_same_in_any_coordinates(target, bent):
             assert abs(of[..., k].mean() - expected[k]) < 4.5 * mcse_mean(of[..., k])
     product = np.prod(draws - target.mean, axis=-1)
     assert abs(product.mean() - target.covariance[0, 1]) < 4.5 * mcse_mean(product)
+
+
+@pytest.mark.parametrize(
+    ("bent", "message"),
+    [
+        ((True,), r"bent: must have 2 values, one per coordinate \(got 1\)"),
+        ((False, True), r"bent.1: must be False, as the coordinate has no lower bound \(got True\)"),
+    ],
+)
+def test_coordinates_that_cannot_be_logarithmic_are_refused(bent, message):
+    target = WeakSpring()
+    target.lower = np.array([0.02, -np.inf])
+    with pytest.raises(ValueError, match=message):
+        HamiltonianMonteCarlo(bent=bent).bind(target)
+    component = Quadratic(np.zeros(2), 0.0, np.zeros(2), np.eye(2))
+    with pytest.raises(ValueError, match=message):
+        MixtureSampler((component,), bent=bent).bind(target)
+    with pytest.raises(ValueError, match="components: must be given with bent"):
+        MixtureSampler(bent=bent)
 
 
 def test_the_state_is_of_the_density_that_was_given():

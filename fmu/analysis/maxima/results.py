@@ -186,8 +186,8 @@ class Maxima:
 
     @property
     def effective_draws(self) -> float:
-        """Smallest ESS of the mass estimates; negligible maxima are ignored."""
-        return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
+        """Smallest ESS of the mass estimates. Negligible maxima are ignored; 0 if all are negligible."""
+        return min((m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE), default=0.0)
 
     @property
     def are_weighed(self) -> bool:

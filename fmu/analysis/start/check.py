@@ -126,9 +126,7 @@ class Check:
             found += doubts_of_information(self.identifiability)
         if not self.gradient.agrees:
             found.append(self.gradient.sentence())
-        if self.prior.failed or self.prior.is_far.any():
-            found += self.prior.sentences()
-        return tuple(found)
+        return (*found, *self.prior.doubts)
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ class GradientCheck:
         The size is the largest absolute component at the point. It is at least a thousandth of the largest at any
         point, because the gradient vanishes near a maximum, and at least 1.
         """
-        largest = np.max(np.abs(self.exact), axis=1)
+        largest = np.max(np.abs(self.exact), axis=1, initial=0.0, where=np.isfinite(self.exact))
         size = np.maximum(np.maximum(largest, _SMALL * np.max(largest)), 1.0)
         return np.abs(self.exact - self.difference) / size[:, None]
 
@@ -77,7 +77,8 @@ class GradientCheck:
         errors = self.relative_error
         if not np.all(np.isfinite(errors)):
             i, j = np.argwhere(~np.isfinite(errors))[0]
-            return f"The gradient is not finite for {self.names[j]} at {self.points[i]}."
+            what = "central difference" if np.isfinite(self.exact[i, j]) else "gradient"
+            return f"The {what} is not finite for {self.names[j]} at {self.points[i]}."
         i, j = np.unravel_index(np.argmax(errors), errors.shape)
         where = f"for {self.names[j]} at {self.points[i]}"
         if self.agrees:

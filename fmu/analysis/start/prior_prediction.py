@@ -79,11 +79,9 @@ class PriorPrediction:
         """
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
-    def sentences(self) -> list[str]:
-        """Return sentences on failed draws and on measured frequencies far from the prior prediction.
-
-        If none is far, one sentence says so. With fewer than two draws, only failures are mentioned.
-        """
+    @property
+    def doubts(self) -> list[str]:
+        """Sentences on failed draws and on measured frequencies far from the prior prediction."""
         said = []
         if self.failed:
             said.append(f"The model failed at {self.failed} of {self.failed + len(self.frequencies)} prior draws.")
@@ -97,7 +95,15 @@ class PriorPrediction:
                 f"({with_sd(self.mean[k], self.sd[k])} Hz). Possible causes: wrong pairing, bounds too "
                 f"narrow, incomplete model."
             )
-        if not np.any(self.is_far):
+        return said
+
+    def sentences(self) -> list[str]:
+        """Return `doubts`, and a sentence that no measured frequency is far from its prediction if none is.
+
+        With fewer than two draws, only failures are mentioned.
+        """
+        said = self.doubts
+        if len(self.frequencies) > 1 and not np.any(self.is_far):
             far = int(np.argmax(np.abs(self.distance)))
             said.append(
                 "The prior covers the measured frequencies: each lies within "

@@ -264,6 +264,10 @@ class PartialModel(ModalModel):
         """Failures that the whole model has recorded."""
         return self.whole.reasons
 
+    def reason_at(self, theta: FloatArray) -> str | None:
+        """Return why the whole model failed at theta (n_parameters,), or None if the reason is unknown."""
+        return self.whole.reason_at(theta)
+
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes), with NaN where a solve failed."""
         return self.whole.frequencies(theta)[:, self._modes]

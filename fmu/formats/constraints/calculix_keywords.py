@@ -119,7 +119,10 @@ def add_set(found: Constraints, one: Keyword) -> None:
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
     for words in one.rows():
         if "GENERATE" in one.options:
-            first, last, step = (*(whole(word, one.source) for word in words[:3] if word), 1)[:3]
+            numbers = [whole(word, one.source) for word in words[:3] if word]
+            if len(numbers) < 2:
+                raise ValueError(f"{one.source}: GENERATE needs a first and a last number (got {words[0]})")
+            first, last, step = (*numbers, 1)[:3]
             found.count(max(last - first, 0) // max(step, 1), one.source)
             into |= dict.fromkeys(range(first, last + 1, max(step, 1)))
             continue

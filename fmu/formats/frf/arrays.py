@@ -193,16 +193,20 @@ def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
 
     The axes are reversed if MATLAB wrote the dataset. Raise ValueError if it is larger than `LARGEST_CONTENT`.
     """
+    import h5py
+
     if dataset.nbytes > LARGEST_CONTENT:
         raise ValueError(f"must hold at most {LARGEST_CONTENT} bytes (got {dataset.nbytes})")
     if dataset.dtype.kind == "O":
-        return np.asarray(dataset.asstr()[()]).astype(str) if dataset.dtype.metadata else None
+        is_text = h5py.check_string_dtype(dataset.dtype) is not None
+        return np.asarray(dataset.asstr()[()]).astype(str) if is_text else None
     array = np.asarray(dataset[()])
     if array.dtype.names == ("real", "imag"):
         array = array["real"] + 1j * array["imag"]
     kind = dataset.attrs.get("MATLAB_class", b"")
     if kind == b"char":
-        return np.asarray("".join(map(chr, array.T.ravel().tolist())))
+        lines = ["".join(map(chr, row)).rstrip() for row in np.atleast_2d(array.T).tolist()]
+        return np.asarray(lines[0] if len(lines) == 1 else lines)
     if array.dtype.kind == "S":
         array = np.char.decode(array, "utf-8")
     return (array.T if kind else array) if array.dtype.kind in "iufcbU" else None

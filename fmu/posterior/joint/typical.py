@@ -187,6 +187,8 @@ def _most_probable(
         width = np.sqrt(sum(np.mean(of_tests[here] * square) for square in squares))
         width = max(width, _LEAST_SD * problem.start[k])
         changes.append(float(max(abs(new - last), abs(width - theta[k])) / width))
-        theta[k] = np.clip(width, problem.lower[k], problem.upper[k])
+        low, high = problem.lower[k], problem.upper[k]
+        margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
+        theta[k] = np.clip(width, low + margin, high - margin)
     theta[columns] = one.scores_at(one(before)[0], theta[None])[0, one.scored]
     return max(changes)

@@ -102,7 +102,7 @@ class LogNormal(Prior):
         Raises
         ------
         ValueError
-            If `mean` or `sd` is not positive and finite, or `sd` is below about 1e-8 of the mean.
+            If `mean` or `sd` is not positive and finite, or `sd` is negligible beside the mean.
         """
         variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
         _require_width("mean", mean, sd, variance)
@@ -119,7 +119,7 @@ class LogNormal(Prior):
         Raises
         ------
         ValueError
-            If `mode` or `sd` is not positive and finite, or `sd` is below about 1e-8 of the mode.
+            If `mode` or `sd` is not positive and finite, or `sd` is negligible beside the mode.
         """
         from scipy.optimize import brentq
 
@@ -179,4 +179,4 @@ def _log(bound: float) -> float:
 def _require_width(name: str, value: float, sd: float, variance: float) -> None:
     """Raise ValueError if a log-normal prior is so narrow that rounding makes its variance zero."""
     if not variance > 0.0:
-        raise ArgumentError("sd", f"must be at least 1e-8 of the {name} {typed(value)}", typed(sd))
+        raise ArgumentError("sd", f"must not be negligible beside the {name} {typed(value)}", typed(sd))

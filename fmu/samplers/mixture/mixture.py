@@ -70,7 +70,7 @@ class MixtureSampler(Sampler):
     ------
     ValueError
         If a setting is out of range, `components` is empty, the number of weights differs from the number of
-        components, or `adapt` is False and there are no components.
+        components, or there are no components although `bent` is given or `adapt` is False.
 
     References
     ----------
@@ -114,6 +114,8 @@ class MixtureSampler(Sampler):
         if self.components is None:
             if not self.adapt:
                 raise ValueError("components: must be given if adapt is False (got None)")
+            if self.bent is not None:
+                raise ValueError("components: must be given with bent (got None)")
             return
         if isinstance(self.components, CurvedMixture):
             object.__setattr__(self, "weights", tuple(self.components.weights.tolist()))
@@ -174,7 +176,7 @@ class MixtureSampler(Sampler):
             return self.components
         warp, wide = first_warp(density), WIDE if self.wide is None else self.wide
         if self.bent is not None:  # fitted components are in the coordinates of the warp
-            warp = replace(warp, bent=np.array(self.bent))
+            warp = Warp.of_density(density, self.bent)
             return Mixture(self.components, np.asarray(self.weights), warp, wide)
         components = [warp.quadratic(one) for one in self.components]
         return Mixture(components, np.asarray(self.weights), warp, wide)

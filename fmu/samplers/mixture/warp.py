@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -35,6 +36,19 @@ class Warp:
     lower: FloatArray
     upper: FloatArray
     bent: BoolArray
+
+    @classmethod
+    def of_density(cls, density: LogDensity, bent: Sequence[bool]) -> Self:
+        """Return the warp that makes the coordinates in the mask `bent` logarithmic.
+
+        Raise ValueError unless the mask has one value per coordinate, and its coordinates have lower bounds.
+        """
+        if len(bent) != density.ndim:
+            raise ValueError(f"bent: must have {density.ndim} values, one per coordinate (got {len(bent)})")
+        without = np.flatnonzero(np.array(bent) & ~np.isfinite(density.lower))
+        if without.size:
+            raise ValueError(f"bent.{without[0]}: must be False, as the coordinate has no lower bound (got True)")
+        return cls(density.lower, density.upper, np.array(bent))
 
     @classmethod
     def fitting(cls, draws: FloatArray, lower: FloatArray, upper: FloatArray) -> Self:

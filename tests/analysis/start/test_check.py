@@ -1,6 +1,7 @@
 """A problem looked at before sampling: what is right is called right, and what may be wrong is found."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -176,6 +177,18 @@ def test_a_gradient_that_is_no_number():
     assert found.sentence() == "The gradient is not finite for a at the start."
 
 
+def test_a_gradient_that_is_no_number_at_one_point_leaves_the_others_alone():
+    """Nor is it blamed for a central difference that is not finite."""
+    one = check_gradient(linear(model=Wrong()))
+    exact, difference = one.exact.copy(), one.difference.copy()
+    exact[1, 1], difference[2, 0] = np.nan, np.inf
+    odd = replace(one, exact=exact)
+    assert np.isfinite(odd.relative_error).sum() == odd.exact.size - 1
+    assert odd.sentence() == f"The gradient is not finite for b at {one.points[1]}."
+    odd = replace(one, difference=difference)
+    assert odd.sentence() == f"The central difference is not finite for a at {one.points[2]}."
+
+
 def test_the_prior_expects_what_its_draws_surround():
     problem = linear()
     found = prior_prediction(problem, draws=4000)
@@ -200,6 +213,7 @@ def test_draws_at_which_the_model_fails_are_counted():
     failed = int(np.sum(problem.sample_prior(np.random.default_rng(1), 40)[:, 0] > 1.5))
     assert 0 < failed == found.failed
     assert found.sentences()[0] == f"The model failed at {failed} of 40 prior draws."
+    assert [found.doubts, found.sentences()[1][:16]] == [found.sentences()[:1], "The prior covers"]
     with pytest.raises(ValueError, match=r"draws: must be at least 2 \(got 1\)"):
         prior_prediction(problem, draws=1)
 

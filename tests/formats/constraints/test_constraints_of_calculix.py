@@ -197,6 +197,7 @@ REFUSED = {
     "node on the axis": (
         "*TRANSFORM, NSET=CORNERS, TYPE=C\n0.,0.,0.,0.,0.,1.\n", r"axes of three directions .*at node 1",
     ),
+    "set without an end": ("*NSET, NSET=A, GENERATE\n7\n", r"GENERATE needs a first and a last number \(got 7\)"),
     "endless set": ("*NSET, NSET=A, GENERATE\n1, 9999999999, 1\n", r"at most \d+ members"),
     "support three times": (
         "*TRANSFORM, NSET=CORNERS\n0.,1.,0.,-1.,0.,0.\n*EQUATION\n1\n1,1,1.\n2\n1,1,1.,2,1,1.\n",

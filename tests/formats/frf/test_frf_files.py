@@ -348,6 +348,12 @@ def test_hdf5(data, tmp_path):
     named = {"frequencies_hz": "t.f", "values": "t.H", "kind": "t.kind"}
     wanted = Wanted(data.drives, data.responses, variables=named)
     same(of_arrays(path.name, hdf5_arrays(path), wanted, lines_first=False), data)
+    with h5py.File(path, "a") as file:  # a matrix of text, and a cell array: references to other datasets
+        rows = np.array([[*map(ord, "deck ")], [*map(ord, "tower")]], "u2").T
+        file.create_dataset("places", data=rows).attrs["MATLAB_class"] = np.bytes_("char")
+        file.create_dataset("cells", (1, 2), dtype=h5py.ref_dtype)
+    assert hdf5_arrays(path)["places"].tolist() == ["deck", "tower"]
+    assert "cells" not in hdf5_arrays(path)
     elsewhere = h5py.VirtualLayout(shape=(1, 100), dtype=float)
     elsewhere[:] = h5py.VirtualSource(str(path), "t/f", shape=(1, 100))
     with h5py.File(tmp_path / "virtual.h5", "w") as file:

@@ -89,6 +89,10 @@ def test_the_last_step_counts(write):
             r"has no displacement of node 45: it must be in a \*NODE",
         ),
         ((TABLE + SHAPES)[:-20], r"has no displacement of node 45"),
+        (
+            TABLE + SHAPES.replace("4.471053E-01", "4.471053E-01 L"),
+            r"job\.dat has displacements along the axes of \*TRANSFORM: .* needs GLOBAL=YES \(got node 9\)",
+        ),
     ],
 )
 def test_what_is_missing_is_told(write, text, said):

@@ -29,7 +29,7 @@ def checked_frequencies(frequencies_hz: Any) -> FloatArray:
     wrong = ~(np.isfinite(f) & (f >= 0.0))
     if wrong.any():
         at = int(np.argmax(wrong))
-        raise ArgumentError(f"frequencies_hz.{at}", "must be positive and finite", f"{f[at]} Hz")
+        raise ArgumentError(f"frequencies_hz.{at}", "must be finite and not negative", f"{f[at]} Hz")
     back = np.diff(f) <= 0.0
     if back.any():
         at = int(np.argmax(back)) + 1
