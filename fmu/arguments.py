@@ -88,7 +88,10 @@ class ArgumentError(ValueError):
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
-        """Return the error with `old` replaced by `new` at the beginning of its key. Other keys are unchanged."""
+        """Return the error with `old` replaced by `new` at the beginning of its key.
+
+        An error whose key does not begin with `old` is returned unchanged.
+        """
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
 
@@ -180,7 +183,7 @@ def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> 
 
 
 def takes_old_names[Door: type](**present: str) -> Callable[[Door], Door]:
-    """Return a class decorator with which the constructor also takes keyword arguments by their old names.
+    """Return a class decorator that makes a constructor accept the old names of keyword arguments too.
 
     `present` maps each old name to the present one. An old name causes an `OldNameWarning`.
     """

@@ -39,7 +39,12 @@ def write_durably(path: Path, content: bytes | memoryview) -> None:
 def append_durably(path: Path, content: bytes) -> None:
     """Append to a file, which is created if it does not exist.
 
-    If the process is killed, only `content` may be truncated; the earlier content is safe.
+    If the process is killed or the disk is full, only `content` may be truncated; the earlier content is safe.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written, for example because the disk is full.
     """
     with open(path, "ab") as file:
         file.write(content)

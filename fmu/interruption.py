@@ -137,7 +137,7 @@ def shielded() -> Iterator[None]:
 
 @contextmanager
 def _listening() -> Iterator[_Stop | None]:
-    """Install the signal handlers for a block, unless an outer block has, and yield their state.
+    """Install the signal handlers for a block, unless an outer block has installed them, and yield their state.
 
     Yield None outside the main thread.
     """

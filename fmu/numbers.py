@@ -102,7 +102,7 @@ def round_by_sd(value: float, sd: float, digits: int = 4) -> str:
 def with_sd(value: float, sd: float) -> str:
     """Format a value with its standard deviation: ``"41.26 ± 0.15"``, ``"1.729e11 ± 0.022e11"``.
 
-    If either is not finite, or `sd` is not positive, they have four and two significant digits.
+    If either is not finite, or `sd` is not positive, the value has four significant digits and `sd` has two.
     """
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
         return f"{round_by_sd(value, math.nan)} ± {significant(sd, 2)}"
@@ -182,7 +182,7 @@ def interval(lower: float, upper: float, places: int) -> str:
 def given(value: float) -> str:
     """Format a value with the digits with which it was entered, such as ``"0.912"``.
 
-    A value with more than ten digits must have been computed, and gets six.
+    A value with more than ten digits must have been computed, and is shown with six significant digits.
     """
     if not math.isfinite(value):
         return _infinite(value)

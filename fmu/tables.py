@@ -53,7 +53,7 @@ def text_table(
     words : collection of int
         Indices of columns of words, which are left-aligned; all other columns are right-aligned.
     width : int
-        Largest width of the table in characters.
+        Largest width of the table in characters; exceeded if the first column and a single other one do not fit.
     """
     columns = [[str(cell) for cell in column] for column in zip(header, *rows, strict=True)]
     widths = _fold_columns([max(map(len, column)) for column in columns], words, width)

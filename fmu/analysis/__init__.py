@@ -1,6 +1,6 @@
 """Analysis before and after sampling: what the data determine, what the draws show, and whether they are reliable.
 
-Before sampling: start, identifiability, uninformed, repeatability, estimate.
-After sampling: trace, convergence, maxima; then prediction, held_out, information, fit, pairing_changes, evidence,
-certificate.
+Modules used before sampling: start, identifiability, uninformed, repeatability, estimate, plan.
+Modules used after sampling: trace, convergence, maxima; then prediction, held_out, information, fit, frf, models,
+next_test, pairing_changes, evidence, certificate.
 """

@@ -34,20 +34,23 @@ _MOST_BY_FULL = 0.03
 class Effort:
     """How many draws a certificate uses to bound the error, and how many of them it solves with the full model.
 
+    With several tests, `fewest`, `solved`, `solved_of_large` and `worst` are divided by the number of tests.
+
     Attributes
     ----------
     work : int
-        Largest number of degrees of freedom times draws at which the bound is evaluated.
+        Largest product of a block's degrees of freedom, the number of tests, and the number of draws at which the
+        bound is evaluated. At least `fewest` draws are used, even if the product is then larger.
     fewest, most : int
         Smallest and largest number of draws at which the bound is evaluated.
     each : int
         One in `each` of these draws is solved with the full model.
     solved, solved_of_large : int
-        Smallest number of full solves for small structures and for large structures.
+        Smallest number of full solves, for small structures and for large structures.
     worst : int
         Number of full solves at the draws with the largest bounds.
     large : int
-        Number of degrees of freedom from which a structure counts as large.
+        A structure is large if one of its blocks has at least this number of degrees of freedom.
     rounding : float
         Fraction of the tolerance by which the error may exceed the bound, to allow for rounding in the full model.
     """
@@ -76,11 +79,12 @@ def certify(
     """Bound the reduced model's error at retained draws, and solve the full model at some of them.
 
     Residuals bound the frequency errors (`fmu.fem.reduced.residuals`). The draws are chosen at random with the
-    trace's seed: up to 512 for small structures, fewer for larger structures or several tests. One in twelve of
-    them, including the four with the largest bounds, is solved with the full model (`fmu.fem.reduced.confirming`).
-    At least 16 draws are solved, or 8 if a block of the structure has 20 000 degrees of freedom or more. With
-    several tests, these smallest numbers and the four are divided by the number of tests. Log-probabilities are
-    compared only at draws where they are not far below the highest.
+    trace's seed: up to 512 for small structures, and fewer, but at least 64, for larger structures or several
+    tests. Repeated draws count once. If there are fewer distinct draws than this, all of them are chosen. One in
+    twelve of the chosen draws, including the four with the largest bounds, is solved with the full model
+    (`fmu.fem.reduced.confirming`). At least 16 draws are solved, or 8 if a block of the structure has 20 000
+    degrees of freedom or more. With several tests, these smallest numbers and the four are divided by the number
+    of tests. Log-probabilities are compared only at draws where they are not far below the highest.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ OF_MIXTURE = ("importance", "bridge")
 FEWEST_CANDIDATES = 100
 """Smallest number of candidates from which the tail of their weights is estimated."""
 RHAT_LIMIT = 1.05
-"""R-hat of the log-likelihood at a rung from which the evidence is unreliable."""
+"""The evidence is unreliable if R-hat of the log-likelihood at any rung is at least this value."""
 
 
 @dataclass(frozen=True)

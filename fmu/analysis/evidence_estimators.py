@@ -26,9 +26,9 @@ class _Estimate(NamedTuple):
 
 
 def by_importance(q: FloatArray) -> tuple[float, float]:
-    """Return the log-evidence and its standard error, given log-weights log P − log q of independent draws from q.
+    """Return the log-evidence and its standard error, estimated by importance sampling.
 
-    The weights have shape (n,).
+    `q` (n,) contains the log-weights log P − log q of independent draws from the density q.
     """
     total = float(logsumexp(q))
     relative = np.exp(q - total) * len(q)
@@ -67,7 +67,8 @@ def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]
 def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
     """Return the stepping-stone estimate Σ_k log E_k[exp((t_{k+1} − t_k) l)] of log Z (Xie et al. 2011).
 
-    Each term estimates log(Z_{k+1}/Z_k) at inverse temperature t_k from log-likelihoods l.
+    `draws` (chains, draws, rungs) contains the log-likelihoods l, and `t` (rungs,) the inverse temperatures. Each
+    term estimates log(Z_{k+1}/Z_k) from the draws at t_k.
     """
     log_weight, log_ratio = stones(draws, t)
     # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
@@ -87,7 +88,8 @@ def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
 def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     """Return log Z = ∫₀¹ m(t) dt, where m and v are the mean and variance of the log-likelihood l at t.
 
-    The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a)
+    `draws` (chains, draws, rungs) contains the log-likelihoods, and `t` (rungs,) the inverse temperatures. The
+    corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a)
     instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
     g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
     that the first three rungs are evenly spaced in s, but is at most 1. If the model fails in part of the prior,

@@ -189,8 +189,8 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Raises
     ------
     ValueError
-        If `theta` is not within the bounds, the model has no finite derivative there, `problem` is not an
-        UpdatingProblem, or it has no errors of modes, as with the modal residual or with FRFs alone.
+        If `theta` does not have ndim values within the bounds, the model has no finite derivative there, `problem`
+        is not an UpdatingProblem, or it has no errors of modes, as with the modal residual or with FRFs alone.
     """
     if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")

@@ -210,9 +210,10 @@ class AtBound(NamedTuple):
 def at_bounds(trace: xr.DataTree) -> list[AtBound]:
     """Return the parameters whose draws accumulate at a bound, which suggests values beyond the bound.
 
-    A parameter is listed if three conditions hold: at least 5 % of the draws lie within 2 % of the range from the
-    bound; this is more than three times the prior's fraction there; and the posterior mean is within two standard
-    deviations of the bound. Parameters without two finite bounds are never listed.
+    A parameter is listed if three conditions hold: at least 5 % of the draws are closer to the bound than 2 % of
+    the distance between the two bounds; this is more than three times the prior's fraction there; and the
+    posterior mean is within two standard deviations of the bound. Parameters without two finite bounds are never
+    listed.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))

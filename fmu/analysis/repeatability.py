@@ -60,6 +60,8 @@ class Repeatability:
 
         For an autoregressive series of order 1 it is n (1 − ρ)/(1 + ρ). Here ρ is r_1 corrected for its bias in
         short series to first order in 1/n, (r_1 + 1/n)/(1 − 3/n) (Marriott & Pope 1954, Biometrika 41, 390–402).
+        In this correction n is at least 4. The corrected ρ is limited to 0 ≤ ρ ≤ 0.98, so the result never exceeds
+        n.
         """
         n = np.maximum(self.n, 4)
         rho = np.clip((self.autocorrelation + 1.0 / n) / (1.0 - 3.0 / n), 0.0, _MOST_CORRELATED)

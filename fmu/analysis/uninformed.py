@@ -184,8 +184,8 @@ def eliminate(rows: FloatArray) -> FloatArray:
 def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
     """Return a direction with a name made from its large components.
 
-    `relative` (ndim,) is each parameter's relative change along the direction. If it is NaN, the combination that
-    the data determine instead is left empty.
+    `relative` (ndim,) is each parameter's relative change along the direction. If it is not finite
+    for a parameter, the combination that the data determine instead is left empty.
     """
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")

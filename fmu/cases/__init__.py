@@ -105,7 +105,8 @@ def load(
     Raises
     ------
     ValueError
-        If there is no such case or pairing, or `beta` is not positive or not one value per mode.
+        If there is no such case or pairing, or `beta` is not positive, or is neither one number nor one value per
+        mode.
     """
     from fmu.config import load as load_file
 

@@ -25,7 +25,7 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
     """Print the losses in each later state, with the values before and after. Warn if they are unreliable.
 
     The probability of a loss beyond each limit in `beyond` is printed too. Raise ValueError if the trace has no
-    losses.
+    losses, or a limit is below 0, or is 1 or more.
     """
     from fmu.analysis.trace.damage import (
         ANY,
@@ -84,7 +84,7 @@ MODEL = click.option(
 def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> None:
     """Print the losses between states of the structure for the run in DIRECTORY, and draw them (damage.png).
 
-    For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
+    The problem must have several [[tests]] in groups, and parameters that vary by group or by damage.
     """
     from fmu.report.export import read_choice
     from fmu.report.plots import DPI, plot_losses

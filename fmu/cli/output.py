@@ -10,9 +10,10 @@ from pathlib import Path
 
 @contextmanager
 def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
-    """Create an output directory for a block. If the block fails, remove the new directories that are empty.
+    """Create an output directory for a ``with`` block. If the block fails, remove new directories that are empty.
 
-    Raise ValueError if the directory cannot be written to, or holds files and `overwrite` is False.
+    Raise ValueError if the directory cannot be written to. If `overwrite` is False, also raise it if the path is a
+    file or a link, or the directory contains files other than those of a run that was killed in its first seconds.
     """
     if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
         from fmu.config.kept import ORIGIN

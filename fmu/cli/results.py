@@ -16,7 +16,10 @@ _UPDATED = "updated.toml"
 @click.command()
 @damage.DIRECTORY
 def report(directory: Path) -> None:
-    """Write an HTML report on the run in DIRECTORY: report/index.html, and one page per sampler if several."""
+    """Write an HTML report on the run in DIRECTORY: report/index.html.
+
+    If there are several samplers, each of them also has a page of its own.
+    """
     from fmu.report.pages import write_report
 
     click.echo(f"Written to {write_report(directory)}")

@@ -97,7 +97,10 @@ def _budget(problem: UpdatingProblem, orders: Orders) -> int:
 
 
 def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return True if the limit on solves leaves too few for the surrogate to learn more and be checked again."""
+    """Return True if the surrogate needs a higher limit on solves to learn more.
+
+    This is the case if the limit leaves fewer solves than are needed to check the surrogate again.
+    """
     from fmu.surrogates.learning import CHECKS, certificate_of
 
     return _budget(problem, orders) - certificate_of(problem).solves < CHECKS
@@ -126,8 +129,8 @@ def exact_draws(
 ) -> xr.DataTree:
     """Return exact posterior draws by accepting or rejecting surrogate draws.
 
-    More surrogate draws are made until the exact draws reach `until_ess`, or a limit ends them; the trace then has
-    the attribute ``limit``.
+    More surrogate draws are made until the exact draws reach `until_ess`, or a limit on solves or on surrogate
+    draws is reached. If a limit is reached, the trace has the attribute ``limit``.
 
     Parameters
     ----------

@@ -72,10 +72,12 @@ def load(
     Raises
     ------
     ConfigurationError
-        If the file has errors. It is a ValueError that lists each error's location, the rule, and the value
-        received.
+        If the file has errors, or `pairing` or `beta` does not fit the problem. It is a ValueError that lists each
+        error's location, the rule, and the value received.
     FileNotFoundError
         If there is no such file, or it cannot be read.
+    ValueError
+        If `beta` is not positive.
     """
     path = Path(path)
     return read(path).build(path.name, path.parent, pairing, beta, engine)

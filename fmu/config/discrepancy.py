@@ -17,8 +17,8 @@ class DiscrepancyTable(TomlTable):
     """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors whatever the
     parameters. For frequency response functions only "modes" is allowed, and needs sd and correlation."""
     tau: Positive | None = None
-    """The scatter relative to the parameter or, if the parameter may be 0, to its starting value. Inferred if not
-    given."""
+    """The scatter relative to the parameter or, if the parameter may be 0, to its starting value (or to the scale
+    of its prior, if it starts at 0). Inferred if not given."""
     prior_sd: Positive = 0.1
     """Standard deviation of the half-normal priors of an inferred tau, sd and shape_sd."""
     by: Literal["common", "group"] = "common"
@@ -34,8 +34,8 @@ class DiscrepancyTable(TomlTable):
     """With kind = "modes", the standard deviation of the errors of shapes scaled to a largest component of 1; for
     frequency response functions, of residues relative to their root mean square. Inferred if not given."""
     length: Positive | None = None
-    """With kind = "modes", the distance in m over which the correlation of the errors at two sensors falls to
-    1/e."""
+    """With kind = "modes", the distance in m over which the correlation of the errors at two sensors falls to 1/e.
+    The errors are independent if not given."""
     name: Name | None = None
     """Name of the inferred quantity; "tau" or "model error" if not given. With by = "group" the group's name is
     appended."""

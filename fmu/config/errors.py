@@ -99,12 +99,18 @@ def build_error_models(
 
 
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return the error models with each place name replaced by its model node. Models of modes have no places."""
+    """Return the error models with each place name replaced by its model node.
+
+    Error models of modes name no places, and are returned unchanged.
+    """
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 
 def is_of_modes(model: ErrorModel) -> bool:
-    """Return True if an error model applies to modes, or False for other quantities: displacements or FRFs."""
+    """Return True if an error model applies to modes.
+
+    Return False if it applies to other quantities: masses, displacements or FRFs.
+    """
     return not _are_of_quantities(model)
 
 

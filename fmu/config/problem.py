@@ -254,7 +254,7 @@ class ProblemFile(TomlTable):
         return UpdatingProblem(built.model, data, given, name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return errors in measurements, and in keys for several tests, that show without the model."""
+        """Return the errors in measurements and in keys for several tests that can be found without the model."""
         if self.measurement is None and self.tests is None and self._frfs is not None:
             return of_several_tests(self.parameters)
         if (self.measurement is None) == (self.tests is None):

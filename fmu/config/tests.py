@@ -197,8 +197,9 @@ class TestTable(MeasurementTable):
         return replace(modes, numbers=numbers, counterparts=numbers, labels=tuple(map(str, numbers)), use=use)
 
     def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
-        """Build one test per campaign line from `data`, which has all modes, with that line's frequencies.
+        """Build one test for each line of a campaign.
 
+        The frequencies in `data`, which has all modes, are replaced by those in the line.
         Raise BrokenError if a line gives no valid test.
         """
         tests, wrong = [], Mistakes()

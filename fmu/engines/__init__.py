@@ -38,7 +38,7 @@ def engine(
 
     Examples
     --------
-    ``with fmu.engine(workers=4) as engine, model.spread_over(engine): fmu.find_map(problem)``
+    ``with fmu.engine(workers=4) as engine, problem.model.spread_over(engine): fmu.find_map(problem)``
     """
     if cluster is not None:
         try:

@@ -143,7 +143,7 @@ class InProcess(Engine):
         return [results[i] for i in range(len(tasks))]
 
     def free_memory(self) -> int | None:
-        """Return the free bytes of memory on this machine, or None if the system does not report it."""
+        """Return the free bytes of memory on this machine or in this container, or None if they are not known."""
         return free_memory()
 
     def close(self) -> None:

@@ -53,6 +53,7 @@ class DaskCluster(RemoteEngine):
     -----
     Workers finish even abandoned tasks, so new tasks may have to wait. If a worker dies, the scheduler itself
     reruns its task, as often as the Dask setting ``distributed.scheduler.allowed-failures`` permits.
+    If the connection to the scheduler is lost, `run_tasks` raises a `RunFailedError`.
     """
 
     def __init__(self, address: str, answer_s: float = 10.0) -> None:

@@ -117,7 +117,7 @@ class ProcessPool(RemoteEngine):
         return self._workers
 
     def free_memory(self) -> int | None:
-        """Return the free bytes of memory on this machine, or None if the system does not report it."""
+        """Return the free bytes of memory on this machine or in this container, or None if they are not known."""
         return free_memory()
 
     def close(self) -> None:

@@ -56,7 +56,14 @@ def run_program(
     output : Path
         File to which standard output and standard error are written.
     timeout_s : float
-        Time limit in s, after which the program and the processes that it started are killed.
+        Time limit in s, after which the program is killed. On POSIX systems, the processes that it started are
+        killed too.
+
+    Raises
+    ------
+    OSError
+        If the output file cannot be opened, or the process cannot be created. On POSIX systems, a program that
+        cannot be started leads to a returned reason, not to an error.
     """
     watched = [sys.executable, "-I", "-S", "-c", _ENDED_WITH_ITS_PARENT] if os.name == "posix" else []
     with open(output, "wb") as file:

@@ -70,9 +70,9 @@ class ReductionCertificate(Certificate):
     Attributes
     ----------
     log_prob_error : float
-        Largest log-probability error at the solved draws whose likelihood is within the tolerance's depth of the
-        highest; 0 if the likelihood has no modes. At lower likelihoods, where a chain may have started, the error
-        is not bounded.
+        Largest log-probability error at the solved draws whose log-likelihood is at most `Tolerance.depth` below
+        the highest; 0 if the likelihood has no modes. At lower likelihoods, where a chain may have started, the
+        error is not bounded.
     pairing_changes : int
         Number of solved draws at which the true model pairs a measured mode with a different computed mode.
     full_solves : int

@@ -78,10 +78,11 @@ class RefinedFactor:
     ----------
     matrix : sparse array, shape (n, n)
     make : callable
-        ``make(matrix, is_definite)`` returns single-precision factors, or raises LinAlgError if the matrix is
-        singular or not definite as expected.
+        ``make(matrix, is_definite)`` returns single-precision factors. It raises LinAlgError if the matrix is
+        singular, or if `is_definite` is True and the matrix is not positive definite.
     is_definite : bool
-        Whether A is expected to be positive definite.
+        Whether A is expected to be positive definite. If the factors of a definite matrix fail or are too
+        inaccurate, factors of an indefinite matrix are made instead.
 
     Raises
     ------
@@ -178,7 +179,7 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
     Raises
     ------
     StalledError
-        If the corrections of a column do not become small.
+        If a column has not converged after 60 steps.
     """
     x = _solve_scaled(solve, loads)
     (of,) = np.nonzero(np.any(loads != 0.0, axis=0))

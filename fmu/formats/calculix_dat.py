@@ -7,6 +7,9 @@ The input deck needs this step, and a set SENSORS with the sensor nodes::
     *NODE PRINT, NSET=SENSORS
     U
 
+If *TRANSFORM rotates the axes of a node, CalculiX prints its displacements along the rotated axes, with the mark
+L. Such rows are refused, so ``*NODE PRINT`` then needs ``GLOBAL=YES``.
+
 CalculiX expands shells and beams into solids, but this file contains the displacements of the original nodes.
 Frequencies have seven significant digits.
 """
@@ -92,7 +95,7 @@ def _last_step(path: Path) -> str:
 def _frequencies(text: str, name: str) -> FloatArray:
     """Return the frequencies in Hz, shape (n_modes,), from column 4 of a step's first table.
 
-    Raise ValueError if the table is empty or cut off.
+    Raise ValueError if the table is empty or cut off, or a frequency is not a number.
     """
     found: list[float] = []
     for line in text.splitlines():

@@ -47,7 +47,7 @@ class Reference:
 
 
 def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
-    """Pool several traces into one posterior estimate. Each parameter's weights are the traces' bulk ESS."""
+    """Pool several traces into one posterior estimate. For each parameter, they are weighted by their bulk ESS."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])

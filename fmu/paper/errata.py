@@ -27,7 +27,7 @@ too."""
 def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
     """Return a table that compares the frequencies in Tables 2 and 4 with the model at the published parameters.
 
-    The parameters are those in Tables 1 and 3.
+    The parameters are those in Tables 1 and 3, with misprints corrected.
 
     Parameters
     ----------

@@ -207,7 +207,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
     """Return the fraction of draws at which each combination of physical modes is paired.
 
-    Every k-th draw is examined, at least 2000 in all if there are as many.
+    Every k-th draw is examined, and at least 2000 draws in all if the run has that many.
     """
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
@@ -248,11 +248,11 @@ def parameter_table(result: Result) -> pd.DataFrame:
 def frequency_table(result: Result) -> pd.DataFrame:
     """Return a table of the published frequencies (Table 2 or 4) and our frequencies, one row per measured mode.
 
-    Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors |f − f_m|/f_m in %. The columns are
-    ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters with this
-    experiment's pairing; ``maximum_*``, the model at the highest posterior maximum; and ``paper_*`` and
-    ``long_*``, the model at our posterior mean. ``long_*_predictive`` and its interval are the mean and the
-    interval of the posterior predictive distribution for a new measurement, eq. (10), in Hz.
+    Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` are errors |f − f_m|/f_m in %. The columns are
+    ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters, with
+    misprints corrected and this experiment's pairing; ``maximum_*``, the model at the highest posterior maximum;
+    and ``paper_*`` and ``long_*``, the model at our posterior mean. ``long_*_predictive`` and its interval are the
+    mean and the interval of the posterior predictive distribution for a new measurement, eq. (10), in Hz.
     """
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}

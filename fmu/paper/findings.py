@@ -102,7 +102,7 @@ class Findings:
 
     @classmethod
     def of(cls, result: Result, weighted: VectorBeta | None = None, wrong: WrongModel | None = None) -> Findings:
-        """Collect the findings from an experiment's runs and, if performed, from both studies."""
+        """Collect the findings from an experiment's runs and, if performed, the studies `weighted` and `wrong`."""
         traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
         traces |= {f"{name}, long": trace for name, trace in result.long.items()}
         traces["hmc, one start"] = result.one_start

@@ -59,7 +59,7 @@ def run_paper(
         Called as ``progress(phase, done, total, info)``, with one phase for each experiment, and for each run with
         a vector β or with scatter.
     plan : Plan, optional
-        Lengths of the runs.
+        The experiments and the lengths of the runs. Defaults to ``Plan()``, the full replication.
     workers : int, optional
         Number of processes for the experiments. Defaults to the number of CPUs; with 1, only the current process
         is used. The results do not depend on this number.

@@ -79,7 +79,10 @@ def _in_a_line(findings: Findings) -> str:
 
 
 def _means(findings: Findings) -> str:
-    """Return a table of parameter values in the paper's units. Each row is a source, each column a parameter."""
+    """Return a heading and a table of parameter values in the paper's units.
+
+    The table has one row for each point, published mean or run, and one column for each parameter.
+    """
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
 

@@ -88,10 +88,10 @@ def ascend(
 ) -> Ascent:
     """Ascend from every starting point to a local maximum of −V within a box.
 
-    This is the Levenberg–Marquardt method. Each step minimises the quadratic model, with its diagonal enlarged
-    (damped), within the box. The damping depends on the ratio of actual to predicted decrease (Nocedal & Wright
-    2006, sections 4.1 and 10.3). At a kink, where computed modes swap, the quadratic model is invalid, and the
-    ascent does not end at a stationary point.
+    This is the Levenberg–Marquardt method. Each step approximately minimises the quadratic model, with its
+    diagonal enlarged (damped), within the box. The damping depends on the ratio of actual to predicted decrease
+    (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where computed modes swap, the quadratic model is
+    invalid. The ascent then ends at a point that is not stationary.
 
     Parameters
     ----------

@@ -51,10 +51,10 @@ def check_held(layout: Layout, model: ModalModel) -> None:
 
 
 def modal_model_in(model: Model, n_sensors: int) -> ModalModel | None:
-    """Return a model that pairs its modes itself, or None for a `SeparableModel` or a `BlackBoxModel`.
+    """Return `model` as a `ModalModel` that pairs its modes itself; None for a SeparableModel or BlackBoxModel.
 
-    Shapes, if it gives any, are at the `n_sensors` sensors at which they were measured. Raise ValueError if
-    `model` is no model.
+    If `model` returns mode shapes, they must be at the `n_sensors` sensors at which shapes were measured. Raise
+    ValueError if a model of another kind has no method frequencies(theta).
     """
     if separable_in(model) is not None or isinstance(model, BlackBoxModel):
         return None

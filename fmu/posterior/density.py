@@ -118,7 +118,7 @@ class Posterior:
         return terms[0] if single else terms
 
     def terms_of_tests(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf if its own solve failed.
+        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf where it is not finite.
 
         By contrast, `log_likelihood_terms` returns -inf for all data at a theta if one of them fails.
         """

@@ -51,8 +51,8 @@ def local_maxima(
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. Unless the data
-    are the modal residual, all points ascend together by Gauss–Newton steps (`ascend`). If several ascents come
+    The search starts from ``problem.start`` and from scrambled Sobol points in the prior's box. Unless the modal
+    residual is used, all points ascend together by Gauss–Newton steps (`ascend`). If several ascents come
     close together just below a maximum, only the highest continues. Of the ascents that stall at a kink, the best
     eight are finished with L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). With the modal residual, every point ascends
     by L-BFGS-B. Two results are the same maximum if no valley separates them. This means that on the straight line
@@ -65,7 +65,7 @@ def local_maxima(
 
     Parameters
     ----------
-    problem : UpdatingProblem
+    problem : Posterior
     starts : int
         Number of starting points, at least 1; the first is ``problem.start``. Where modes swap, few ascents
         may reach an important maximum. In the example cantilever-section, with pairing by number, one in
@@ -74,9 +74,10 @@ def local_maxima(
     near : ndarray, shape (n, ndim), optional
         Further starting points, in SI units; points outside the bounds are moved to them.
     most_solves : float
-        Largest number of solves, apart from the ascents on easier likelihoods. If it is finite, the ascents run
-        one after the other, and none begins once the limit is reached. With the modal residual, the search also
-        ends after sixteen ascents that have found more than eight distinct maxima.
+        Number of solves, above 0, after which no further ascent begins. Solves for easier likelihoods do not
+        count. If the number is finite, the ascents run one after the other. The total may exceed it, because an
+        ascent that has begun is completed, and the best end points are then refined. With the modal residual, the
+        search also ends after sixteen ascents if they have found more than eight distinct maxima.
 
     Returns
     -------

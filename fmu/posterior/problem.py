@@ -67,8 +67,8 @@ class UpdatingProblem(Posterior):
         Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
         `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors`.
         If only masses or displacements are given, the frequencies keep their default errors. If only frequency
-        response functions are given, the modes are paired and begin the search for maxima, but do not count as
-        data.
+        response functions are given, the modes are paired, and the search for maxima starts from their likelihood,
+        but they do not count as data.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Model discrepancy, in addition to measurement errors.
     name : str
@@ -104,7 +104,8 @@ class UpdatingProblem(Posterior):
     Raises
     ------
     ValueError
-        If the model or an error model does not fit the parameters or the data, two parameters share a name, no
+        If an argument is unknown or out of range, `beta` is given where it is not allowed, the model, the pairing,
+        a discrepancy or an error model does not fit the parameters or the data, two parameters share a name, no
         parameter is updated, a structure has no finite log-probability at the start, or the rounding errors of
         the matrices exceed the measurement errors (`fmu.posterior.rounding`).
 
@@ -169,9 +170,9 @@ class UpdatingProblem(Posterior):
         *args, **options
             The arguments of `UpdatingProblem`.
         reduction : bool or float
-            Largest relative frequency error of the reduced model, above 0 and at most 0.01. True means 1e-6 or, if
-            a block of the matrices has 20 000 degrees of freedom or more, as much as the measurement errors allow.
-            The largest log-probability error follows from this value
+            Largest relative frequency error of the reduced model, above 0 and at most 0.01. True means 1e-6. If a
+            block of the matrices has 20 000 degrees of freedom or more, True means 1e-3, and less where the
+            log-probability requires it. The largest log-probability error follows from this value
             (`fmu.posterior.reduction.tolerance.Tolerance.of`). False selects the full model.
         engine : Engine, optional
             The engine whose workers train the reduced model (see `fmu.engine`); the result is identical to the
@@ -240,6 +241,7 @@ class UpdatingProblem(Posterior):
         """Return a copy whose reduced model has only a share of its basis vectors. Other models are unchanged.
 
         A solve then takes less time and is less accurate, which is enough for approximations such as proposals.
+        Raise ValueError unless `share` is above 0 and at most 1.
         """
         return self.with_model(self.model.coarser(share))
 
@@ -273,7 +275,7 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            If `n` or `seed` is out of range.
+            If `n` or `seed` is out of range, or no point with a finite log-probability is found.
         """
         # the search for maxima belongs to a higher layer, so it is imported only when this method is called
         found: FloatArray = import_module("fmu.analysis.maxima.starts").walkers(self, n, seed)

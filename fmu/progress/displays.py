@@ -137,8 +137,8 @@ class JSONLines:
     A line is ``{"time": "2026-03-01T12:00:00.125Z", "label": "hmc", "phase": "draws", "done": 120, "total": 1000,
     "remaining_s": 41.2, "accept": 0.83, "rhat": 1.031, "ess": 212.0}``. The time is in UTC. `label` is present if
     the report has a label. `remaining_s` is the remaining time in s at the current pace, or null if the pace is
-    not known. Phases other than warm-up and draws have ``elapsed_s``, the time in s since they began. The items
-    of ``info`` follow under their own names; numbers that are not finite become null.
+    zero or not known. Phases other than warm-up and draws have ``elapsed_s``, the time in s since they began. The
+    items of ``info`` follow under their own names; numbers that are not finite become null.
 
     At most one line per second is written for each phase and ``group`` of chains, but the last report is always
     written. `close` writes the last line of a phase that ends early. If the stream breaks, nothing more is

@@ -85,7 +85,10 @@ class Phase:
             self._report(self.name, self.done, self.total, {"solves": self.solves, **elapsed, **self.said})
 
     def end(self) -> None:
-        """Report the phase as complete, unless it was so reported before or took less than `AT_ONCE_S`."""
+        """Report the phase as complete, unless this was reported before or the phase took less than `AT_ONCE_S`.
+
+        In this report, the total is the number of completed steps, but at least 1.
+        """
         is_long = time.monotonic() - self._began >= AT_ONCE_S
         if (self._is_told and self.done < self.total) or (is_long and not self._is_told):
             self.total = self.done = max(self.done, 1)

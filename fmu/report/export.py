@@ -120,7 +120,7 @@ def export(
         The output directory, the exported files, the sampler used and warnings. The exported files are:
 
         ``theta.csv``: each parameter's unit, start value, posterior mean, posterior standard deviation and
-        exported value, in SI units, and, if the trace shows it, whether the data, the prior or both determined it.
+        exported value, in SI units, and what determined it, if known: ``data``, ``prior`` or ``combination``.
 
         ``updated.toml``: the problem file with the exported values as start values and its original comments. The
         files that it names are copied beside it.

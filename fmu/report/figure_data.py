@@ -113,7 +113,10 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
 
 
 def _panel(axes: Axes) -> dict[str, object]:
-    """Return a dict of a panel's position, its title and both its axes. Raise ValueError if it is on no figure."""
+    """Return a dict of a panel's position, its title and both its axes.
+
+    Raise ValueError if `axes` do not belong to a figure.
+    """
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")

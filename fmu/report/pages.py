@@ -183,7 +183,8 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:
     """Write the report on traces in memory, as `write_report` does; return the path to its index page.
 
-    Raise ValueError if this would overwrite files that fmu did not write, or for traces that `runs_of` rejects.
+    Raise ValueError if ``report`` is a file or has an invalid manifest, if files that fmu did not write would be
+    overwritten, or if `runs_of` rejects the traces.
     """
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])

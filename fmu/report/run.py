@@ -84,7 +84,7 @@ class ReportedRun:
 
     @property
     def priors(self) -> dict[str, str]:
-        """Each parameter's prior in words, in customary units. Parameters whose prior is unknown are omitted."""
+        """Each parameter's prior in words (`prior_in_words`). Parameters whose prior is unknown are omitted."""
         known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
         return {p["name"]: breaking_at_commas(prior_in_words(p["prior"], p["unit"])) for p in known}
 

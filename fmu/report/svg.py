@@ -38,10 +38,10 @@ _STRAIGHT = re.compile(r"[\dMLz eE.+-]*")
 
 
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
-    """Return a figure as an SVG element with selectable text, unique ids and without a style sheet.
+    """Return a figure as an SVG element with selectable text and unique ids, but without a style sheet.
 
-    The ids begin with `key`; `alt` describes the figure for readers who cannot see it. The layout engine is run
-    and removed from the figure.
+    The ids begin with `key`; `alt` describes the figure for readers who cannot see it. If the figure has a layout
+    engine, the engine is run and removed, and the resolution of the figure becomes 72 dpi.
 
     Raises
     ------
@@ -176,7 +176,8 @@ def _round_coordinates(attribute: re.Match[str]) -> str:
 def _short_path(attribute: re.Match[str]) -> str:
     """Return a path attribute with rounded coordinates.
 
-    A path of `_SHORT_PATH` or more straight lines is rewritten in relative tenths of a point.
+    A path with `_SHORT_PATH` or more segments, all of them straight, is rewritten in relative coordinates that are
+    rounded to a tenth of a point.
     """
     path = attribute[1]
     if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):

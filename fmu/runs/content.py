@@ -119,7 +119,7 @@ def packed_state(state: SavedState) -> bytes:
     Raises
     ------
     ValueError
-        If the sampler's state contains an object that is not an array, a number or a string.
+        If the sampler's state contains an object that can be saved neither as an array nor as JSON.
     """
     outline = state._asdict()
     outline["group_state"], arrays = _apart(state.group_state.tree())

@@ -68,7 +68,7 @@ class DirectoryLock:
     Raises
     ------
     ValueError
-        If another process holds the lock.
+        If the lock is already held, by another process or by this one.
     """
 
     def __init__(self, directory: Path, refusal: str) -> None:

@@ -149,7 +149,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """What the diagnostics need from a step file: the numbers of accepted and of all moves, and the draws.
+    """Data from a step file for the diagnostics: the numbers of accepted moves and of all moves, and the draws.
 
     The draws are None in warm-up.
     """

@@ -35,6 +35,8 @@ class SamplerReading:
     ----------
     name : str
     state : {"waiting", "running", "stopped", "killed", "silent", "finished"}
+        The unfinished sampler whose files are the youngest has the state of the run. Others are
+        stopped if they have begun, as at a limit of solves, and otherwise waiting.
     together : Progress
         Progress of all groups together.
     groups : tuple of Progress
@@ -58,6 +60,7 @@ class RunReading:
     ----------
     directory : Path
     state : {"running", "stopped", "killed", "silent", "finished"}
+        A run is silent if it is on another machine and has written nothing for `SILENT_S` seconds.
     at_work : ProcessInfo or None
         The process that is running in the directory, or was killed in it.
     samplers : tuple of SamplerReading
@@ -79,7 +82,7 @@ class RunReading:
 
 
 class RunReader:
-    """Reads a run's state, repeatedly if needed. Files that do not change are read only once.
+    """Reads a run's state, repeatedly if needed. A step file or trace is read again only if it has changed.
 
     Parameters
     ----------

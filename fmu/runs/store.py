@@ -64,7 +64,8 @@ class Store:
     Raises
     ------
     ValueError
-        If the directory contains another run, or another process is running in it.
+        If the directory contains another run, or the same run with other versions of fmu, NumPy, SciPy or emcee,
+        or if another run is going on in it.
     OSError
         If the directory cannot be created or written to.
     """

@@ -61,8 +61,8 @@ class Ensemble(Sampler):
     - kde: 46, 69, 42, 51; in the third run some walkers stopped moving;
     - de and kde: 61, 64, 75, 67.
 
-    A run that ends at convergence has 100 warm-up steps, four autocorrelation times on these posteriors; its
-    walkers start around the maxima.
+    A run that ends at convergence has 100 warm-up steps, which are four autocorrelation times on these posteriors.
+    Its walkers start around the maxima.
 
     References
     ----------
@@ -112,7 +112,7 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Kernel of an ensemble sampler. State.position is (chains, walkers, ndim), with one ensemble per chain.
+    """Kernel of an ensemble sampler. State.position has shape (chains, walkers, ndim); each chain is an ensemble.
 
     `generator` is seeded anew for every step; making a new one would take ten times as long.
     """
@@ -154,9 +154,9 @@ class EnsembleKernel:
     def _advance(
         self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the walkers and their log-densities after a step as emcee's EnsembleSampler takes it.
+        """Take one step as emcee's EnsembleSampler does; return the walkers and their log-densities.
 
-        emcee overwrites the arguments.
+        emcee overwrites `position` and `log_prob`.
         """
         from emcee import State as EnsembleState
         from emcee.model import Model

@@ -76,7 +76,9 @@ class HamiltonianMonteCarlo(LocalSampler):
     bent : vector of bool, optional
         Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see
         `fmu.samplers.mixture.warp.Warp`. `inverse_mass` is then in the transformed coordinates. By default warm-up
-        chooses the mask, unless `step_size` or `inverse_mass` is given, or the steps are inside another sampler.
+        chooses the mask, unless `step_size` or `inverse_mass` is given. In `Tempering` no coordinate is
+        transformed by default. In `MixtureSampler` the mask is that of the fitted mixture, as long as most steps
+        are not local.
 
     Raises
     ------
@@ -169,7 +171,10 @@ class HamiltonianMonteCarlo(LocalSampler):
         return self if self.inverse_mass is not None else replace(self, inverse_mass=covariance)
 
     def take_warp(self, warp: Warp) -> HamiltonianMonteCarlo | None:
-        """Return a copy with the bent coordinates of a warp, or None if there are none or settings are given."""
+        """Return a copy that transforms the same coordinates as a warp.
+
+        Return None if the warp transforms no coordinate, or if `bent` or `inverse_mass` is given.
+        """
         if not warp.bent.any() or self.bent is not None or self.inverse_mass is not None:
             return None
         return replace(self, bent=tuple(warp.bent.tolist()))

@@ -40,7 +40,10 @@ class LocalSampler(Sampler):
         return self
 
     def take_warp(self, warp: Warp) -> Self | None:
-        """Return a copy that takes steps, and covariances, in the coordinates of a warp; by default None."""
+        """Return a copy that takes its steps in the coordinates of a warp, or None if this is impossible.
+
+        A covariance for the copy must be in the same coordinates. The base class always returns None.
+        """
         return None
 
     def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:

@@ -112,14 +112,17 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 
 def describe(settings: Any) -> dict[str, object]:
-    """Return a dataclass's constructor arguments as data for JSON. Nested dataclasses add their class name."""
+    """Return a dataclass's constructor arguments as data for JSON.
+
+    A nested dataclass becomes a dict that also contains the name of its class, with the key ``type``.
+    """
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
     described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described
 
 
 def _make_plain(value: object) -> object:
-    """Return a value that JSON cannot represent as a dict, list or number if possible, otherwise as its `repr`."""
+    """Convert a value that JSON cannot represent to a dict, list or number if possible, or else to its `repr`."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
     table = mapping_in(value)

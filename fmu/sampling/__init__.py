@@ -91,10 +91,10 @@ def sample(
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`), or around the typical point of a hierarchical posterior. Any
-        other log-density with a prior starts at draws from it, unless it has several maxima with reliable masses
-        or is not finite at some draws. ``"prior"``: at draws from the prior.
-        ``"start"``: at ``problem.start``. An array: at these points, in SI units.
+        probability (`fmu.analysis.maxima.starts`), or around the typical point of a hierarchical posterior. If
+        `problem` is not an updating problem but has a prior, the chains start at draws from the prior, unless the
+        log-density has several maxima with reliable masses or is not finite at some of these draws. ``"prior"``:
+        at draws from the prior. ``"start"``: at ``problem.start``. An array: at these points, in SI units.
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
         that is fitted to the posterior in warm-up. Chains then cross between separated maxima
@@ -128,10 +128,11 @@ def sample(
         Number of processes on this machine that advance the groups and solve the full model for the certificate;
         or a Dask scheduler's address, ``"tcp://host:port"``; or an engine from `fmu.engine`.
     max_failure_rate : float
-        The run stops when more than this fraction of the solves has failed. If 1, failures never stop the run.
+        The run stops when more than this fraction of the solves has failed, after at least 200 solves. If 1,
+        failures never stop the run.
     progress : bool or callable, optional
-        Whether to draw progress bars on a terminal or in a notebook. By default only in a notebook. A callable
-        replaces the bars: it is called after every step as ``progress(phase, done, total, info)``; see
+        Whether to draw progress bars on a terminal or in a notebook. By default they are drawn only in a notebook.
+        A callable replaces the bars: it is called after every step as ``progress(phase, done, total, info)``; see
         `fmu.samplers.Run`. It is also called in the long phases before and after the draws, such as ``"search"``
         and ``"predictions"``, with the number of solves in the phase in ``info["solves"]``.
     on_draws : callable, optional
@@ -157,8 +158,8 @@ def sample(
         If the name of the sampler is unknown, the sampler needs gradients that `problem` lacks, `jumps` is True
         for a sampler without local steps, a trace cannot store the name of a parameter, or a number is out of
         range. Also if `max_draws` or `max_solves` is given without `until_ess`, a chain would start outside the
-        bounds or where the log-probability is not finite, or `checkpoint` contains another run or one that is
-        still running.
+        bounds or where the log-probability is not finite, or `checkpoint` contains another run, one that is still
+        running, or one that was made with other versions of fmu, NumPy, SciPy or emcee.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun

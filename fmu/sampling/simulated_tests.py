@@ -51,8 +51,8 @@ def simulate_plan(
         Number of simulated tests for each choice of sensors. All choices use the same parameters and random
         numbers.
     choices : sequence of str, optional
-        Rows of ``plan.choices`` to compare with the plan. Defaults to effective independence and the smallest
-        AutoMAC.
+        Customary choices to compare with the plan: keys of ``plan.usual``. Defaults to effective independence and
+        the smallest AutoMAC.
     draws : int
         Number of draws in each of four chains; sampling continues until every parameter has an ESS of 400, up to
         twenty times as many draws.

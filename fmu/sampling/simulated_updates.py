@@ -97,7 +97,9 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
 
 @dataclass(frozen=True, eq=False)
 class Updates:
-    """Updates with all simulated tests for one choice of sensors; the attributes of `Update` stacked over tests.
+    """Updates with all simulated tests for one choice of sensors.
+
+    Each attribute contains the values of the attribute of `Update` with the same name for all tests.
 
     Attributes
     ----------

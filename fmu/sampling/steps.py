@@ -165,7 +165,7 @@ def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine
     StoppedRun
         If the run was stopped; the exception has the trace so far.
     KeyboardInterrupt
-        If the stop was requested during the last draw.
+        If the stop was requested during the last draw, or if Ctrl-C is pressed in a run without a checkpoint.
     TooManyFailuresError
         If the fraction of failed solves exceeds the limit.
     """

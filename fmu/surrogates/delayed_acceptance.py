@@ -84,9 +84,9 @@ def delayed_acceptance(
         ``second_stage_proposals``, the number of solved proposals; ``second_stage_accepted`` and
         ``second_stage_failed``, the numbers of accepted and of failed proposals; ``second_stage_solves``, the
         number of distinct solves; ``after_n_solves``, the number of solves after the draws; and ``limit``, a
-        phrase with the number of solves or draws that were available, if the run ended before it converged.
-        ``warmup_n_solves`` is the number of solves for the surrogate, and ``warmup_wall_s`` the time of sampling
-        it, in seconds.
+        phrase with the number of solves or draws that were available, if the run ended before it had converged and
+        reached `until_ess`. ``warmup_n_solves`` is the number of solves for the surrogate, and ``warmup_wall_s``
+        the time of sampling it, in seconds.
 
     Raises
     ------

@@ -90,9 +90,9 @@ def surrogate(
     Raises
     ------
     ValueError
-        If the model has matrices or is a surrogate already; if the problem has several tests, populations or no
-        errors of modes; if a number is out of range, such as `max_solves` too small for the first design and the
-        checks; or if nearly all solves fail.
+        If the model has matrices or is a surrogate already; if the problem has several tests or populations, or
+        its likelihood has no residuals of modes; if a number is out of range, such as `max_solves` too small for
+        the first design and the checks; or if nearly all solves fail.
 
     Warns
     -----

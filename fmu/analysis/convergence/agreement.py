@@ -46,11 +46,11 @@ class Agreement(NamedTuple):
 
 
 def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]) -> Agreement:
-    """Compare posterior means and standard deviations between all pairs of runs that meet the criterion.
+    """Compare the posterior means and standard deviations of all pairs of sufficiently accurate runs.
 
-    Runs agree if no difference reaches `CLOSE` standard errors. Only R-hat and ESS decide which runs are compared,
-    not their verdicts: if two runs each seem to have converged but differ, at least one of them is wrong. Test
-    scores are not compared, because their standard errors are not tested.
+    Runs agree if no difference reaches `CLOSE` standard errors. A run is compared if its R-hat and ESS meet the
+    convergence criterion, whatever its verdict: if two runs each seem to have converged but differ, at least one
+    of them is wrong. Test scores are not compared, because their standard errors are not tested.
 
     Parameters
     ----------

@@ -92,7 +92,10 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
 
 class Judged(NamedTuple):
-    """Summaries and verdicts of several runs on one posterior, keyed by name, and their `compare` table."""
+    """Summaries and verdicts of several runs on one posterior, keyed by name, and a table that compares them.
+
+    The table has the columns of `compare` other than those of `costs_side_by_side`.
+    """
 
     summaries: Mapping[str, pd.DataFrame]
     verdicts: dict[str, Diagnosis]

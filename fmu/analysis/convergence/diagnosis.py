@@ -80,8 +80,8 @@ class Diagnosis:
     converged : bool
         Whether the run has converged, that is, whether there are no `reasons`.
     reasons : tuple of str
-        Why the run has not converged, one sentence per reason: missed or badly visited maxima first, then failed
-        tests of the draws, then an invalid certificate. Empty if it has converged.
+        Why the run has not converged, one sentence per reason: maxima missed or visited out of proportion first,
+        then failed tests of the draws, then an invalid certificate. Empty if it has converged.
     warnings : tuple of str
         Warnings about the model and the data, whether or not the run converged: failed model checks (`fit`),
         parameters at their bounds, mode shapes unlike the measured ones, a pairing that jumps, parameters that the

@@ -396,5 +396,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Format a value to three digits of it or the limit, whichever is larger, or to more if they look the same."""
+    """Format a value to the third digit of the larger of it and `limit`, or finer if both would look alike."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

@@ -98,16 +98,17 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 
 
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
-    """Return the number of solves at which a run first met the criterion, warm-up included.
+    """Return the number of solves at which a run first met the convergence criterion, warm-up included.
 
-    The solves of the search for maxima are not included. The result is NaN if the run never met the criterion.
+    The solves of the search for maxima are not included. The result belongs to the first number of draws in
+    `grown` that meets the criterion. Up to five bisections between this number and the one before it make the
+    result more accurate. The result is NaN if the run never met the criterion.
 
     Parameters
     ----------
     trace : xarray.DataTree
     grown : Growth, optional
-        ``growth(trace)``, if already computed. Up to five bisections between its first number of draws that meets
-        the criterion and the number before it improve the result.
+        ``growth(trace)``, if already computed.
     """
     grown = growth(trace) if grown is None else grown
     chains = trace["posterior"].sizes["chain"]

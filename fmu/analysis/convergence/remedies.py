@@ -32,7 +32,7 @@ MCSE_OF_ENDS = ("mcse_eti90_lb", "mcse_eti90_ub")
 
 Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0
-"""ESS below which a prediction from it is unreliable: the ESS itself is off by a third or more."""
+"""ESS below which a prediction of the draws needed is unreliable, because the ESS is off by a third or more."""
 RELIABLE_TIMES = 3.0
 """Shortest run, in autocorrelation times, that estimates this time well; a run of one such time halves it."""
 _MOST = 2.0

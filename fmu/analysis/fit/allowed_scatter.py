@@ -54,9 +54,9 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on how to allow for the misfit, and on the effect of this.
+    """Return sentences on how to allow for the misfit by a model discrepancy, and on the effect of a discrepancy.
 
-    The text is empty if the model has a discrepancy already, or if its errors do not permit one.
+    The text is empty if the model already has a discrepancy, or if its error model does not permit one.
     """
     responses = problem_of(trace).get("likelihood", {}).get("responses")
     if responses:

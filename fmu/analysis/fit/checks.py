@@ -222,14 +222,14 @@ def _limits(row: pd.Series, level: float) -> tuple[float, float]:
 
 
 def _how(trace: xr.DataTree, mode: str) -> str:
-    """Return how a mode was measured, as in `` (the mean of 5 tests)``; an empty string for a single test."""
+    """Return how a mode was measured, such as ``(the mean of 5 tests)`` after a space; "" for a single test."""
     tests = measured_tests(trace)
     at = [str(label) == mode for label in trace["observed_data"]["mode"].to_numpy()]
     return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
 
 
 def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
-    """Return the check of a mode's residuals, for a mode without a prediction; its p is NaN without residuals."""
+    """Check the residuals of a mode that has no prediction; the p-value is NaN if it has no residuals either."""
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"
     if not group.sizes["quantity"] or mode not in map(str, group["mode"].to_numpy()):

@@ -61,7 +61,8 @@ class ModelFit:
         Sentences on the size of the model discrepancy and its correlation between modes; empty if the model has
         none.
     remedy : str
-        How to allow for the discrepancy of a contradicted model; empty if no further remedy is known.
+        How to allow for a model discrepancy if a check failed; empty if no check failed or no further remedy is
+        known.
     """
 
     checks: tuple[Check, ...]

@@ -143,7 +143,7 @@ def checks_of_scores(
     level: float,
     others: Sequence[str] = (),
 ) -> list[Check]:
-    """Check the scores of each parameter for outliers and for the causes in `find_effects`.
+    """Check the scores of each parameter for the causes in `find_effects`, and of each population for an outlier.
 
     Parameters
     ----------

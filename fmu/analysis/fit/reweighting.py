@@ -1,4 +1,4 @@
-"""Estimate, from draws without model discrepancy, the scatter of the parameters and its effect on them."""
+"""Estimate the scatter of the parameters, and how it widens their posterior, from draws without discrepancy."""
 
 from __future__ import annotations
 
@@ -109,11 +109,11 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
 def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     """Estimate the scatter from a model linearised at the maximum.
 
-    The priors are taken as Gaussian. Let the parameters x, in prior standard deviations, have the prior N(x₀, I),
-    and r = r* + S (x − x*). Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the
-    posterior of τ. The covariance of x is (I + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter
-    only through the moments of the prior. The standard deviations without scatter come from the draws or, if all
-    draws are equal, from the linear model.
+    The priors are taken as Gaussian. Let the parameters x, in prior standard deviations, have the prior N(x₀, I).
+    Let the standardised residuals be r = r* + S (x − x*), where an asterisk marks values at the maximum. Then r* +
+    S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance of x is (I
+    + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter only through the moments of the prior. The
+    standard deviations without scatter come from the draws or, if all draws are equal, from the linear model.
 
     Returns
     -------

@@ -68,7 +68,8 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
         For ``held_squares``, ``held_freedom`` and ``held_inside`` (frf) see `HeldOut`. ``frac`` (frf) is the
         frequency response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF
-        that is not used. ``gain`` and ``gain_sd`` (channel) are the marginalised gain errors.
+        that is not used. ``gain`` and ``gain_sd`` (channel) are the posterior means and standard deviations of the
+        marginalised gain errors; both are 0 for a channel without such an error.
     """
     import xarray as xr
 

@@ -32,7 +32,8 @@ _GROUPS, _A_GROUP = 8, 20
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
     """Return quadratic models of log P at the maxima that may have a significant probability, at most eight.
 
-    These are at most 30 nats below the highest. The maxima are searched for from `near` and other starting points.
+    A maximum counts if it is less than 30 nats below the highest one. The search for maxima starts from `near` (n,
+    ndim), SI units, and from other points.
     """
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]

@@ -79,9 +79,9 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     problem : UpdatingProblem, optional
         The problem that was sampled. If given, the table is computed again, however long this takes, and a mode
         without a reliable prediction from importance sampling is predicted by a separate run. Without a problem,
-        the stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
-        hierarchical posterior, which has parameters for every test, is never refitted: its draws are reweighted,
-        with the scores of the mode's test integrated out (`fmu.analysis.held_out.without_scores`).
+        the stored table is returned; for a trace without a table, only ``elpd``, its error and ``pareto_k`` are
+        computed. A hierarchical posterior, which has parameters for every test, is never refitted: its draws are
+        reweighted, with the scores of the mode's test integrated out (`fmu.analysis.held_out.without_scores`).
 
     Returns
     -------
@@ -137,11 +137,11 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         The problem that was sampled.
     most : float, optional
         Largest number of solves for updating without modes. For 400 or more draws of a model with derivatives, it
-        defaults to half the solves of the draws or the number that takes five seconds, whichever is larger. Beyond
-        this limit, modes with unreliable weights are refitted if one refit takes at most 2.5 seconds, as many of
-        them as 15 seconds permit. With ``inf``, every mode whose refit is unreliable gets a separate run. A
-        hierarchical posterior has too many parameters for refits: `most`, by default half the solves of the
-        draws, limits the solves of all tests by which scores are integrated out.
+        defaults to half the solves of the draws or the number that takes five seconds, whichever is larger;
+        otherwise it is 0. Beyond this limit, modes with unreliable weights are refitted if one refit takes at most
+        2.5 seconds, as many of them as 15 seconds permit. With ``inf``, every mode whose refit is unreliable gets
+        a separate run. A hierarchical posterior has too many parameters for refits: `most`, by default half the
+        solves of the draws, limits the solves of all tests by which scores are integrated out.
     """
     import xarray as xr
 

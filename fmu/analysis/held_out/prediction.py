@@ -71,11 +71,12 @@ class Draws:
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
         """Return the predictive distribution of mode `k`'s measured frequency from importance-weighted draws.
 
-        It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These are Gaussian. They
-        are Student's for Student's errors, with the draw's degrees of freedom ν, and if the measurement is the
-        mean of tests whose scatter gives its error. The variance of Student's t, which may be infinite, is then
-        replaced by that of the Gaussian with the same central 95 % interval, and `freedom` is 1/E[1/ν]. Draws at
-        which a solve failed are left out. The prediction is NaN if the problem has no error model for frequencies.
+        It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These distributions are
+        Gaussian, except in two cases: with `fmu.StudentErrors`, and if the measurement is the mean of tests whose
+        scatter gives its error. They are then Student's, with ν degrees of freedom at each draw. In `sd`, the
+        variance of Student's t, which may be infinite, is replaced by the variance of the Gaussian with the same
+        central 95 % interval, and `freedom` is 1/E[1/ν]. Draws at which a solve failed are left out. The
+        prediction is NaN if the problem has no error model for frequencies.
         """
         from scipy.optimize import brentq
 

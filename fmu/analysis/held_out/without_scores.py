@@ -1,4 +1,4 @@
-"""Leave modes of a hierarchical posterior out, one after another, with the scores of their tests integrated out.
+"""Leave modes out of a hierarchical posterior, one after another, and integrate out the scores of their tests.
 
 Scores are informed mostly by the data of their own test. Weights 1 / p(y_i | main, z_t) of the draws are therefore
 uneven, where z_t are the scores of the test that measured datum y_i. The weights w of the main parameters alone,
@@ -48,7 +48,7 @@ _NU = 5.0
 _NARROW = 0.7
 """Variances of q relative to the normal approximation: the tails of q must be lighter than those of L_t p."""
 _EXPANSIONS = 2
-"""Number of expansions of a likelihood, of which each is about the most probable scores of the one before it."""
+"""Number of expansions of a likelihood; each is about the most probable scores of the one before it."""
 _STEPS = 2
 """Number of Newton steps to the most probable scores, if the model has errors."""
 
@@ -56,7 +56,7 @@ _STEPS = 2
 def leave_out_by_tests(
     problem: UpdatingProblem, theta: FloatArray, walkers: int, rng: np.random.Generator, most: float
 ) -> dict[int, tuple[Draws, Smoothed]]:
-    """Weight draws of a hierarchical posterior for the posterior without each mode that was used in updating.
+    """Weight a hierarchical posterior's draws so that they represent the posterior without one of the used modes.
 
     Parameters
     ----------
@@ -72,9 +72,10 @@ def leave_out_by_tests(
     Returns
     -------
     dict
-        The draws, with new scores, and their weights, keyed by mode index. A mode is missing if its weights have
-        no tail. The dict is empty if `most` does not suffice for 100 draws, or if there is no normal
-        approximation, as for values correlated in time, a soft pairing, and frequency response functions.
+        The draws, with new scores, and their weights, for each mode that was used in updating, keyed by mode
+        index. A mode is missing if its weights have no tail. The dict is empty if `most` does not suffice for 100
+        draws, or if there is no normal approximation, as for values correlated in time, a soft pairing, and
+        frequency response functions.
     """
     layout = problem.layout.remove_centring()
     standard, every = problem.with_layout(layout), _rounds(problem)
@@ -145,7 +146,7 @@ def leave_out_by_tests(
 
 
 def _rounds(problem: UpdatingProblem) -> list[dict[int, int]]:
-    """Return dicts from modes to their tests, by index; a dict has at most one mode of each test."""
+    """Return dicts that map mode indices to test indices; each dict has at most one mode of each test."""
     test, use = problem.model.test_of_modes, np.array(problem.data.use)
     of_tests = [np.flatnonzero(use & (test == t)).tolist() for t in range(len(problem.tests))]
     n = max(2, *map(len, of_tests))  # so that modes of other tests are kept

@@ -36,8 +36,8 @@ _MATTERS = 0.01
 _FIXED, _ARRIVED = 1e12, 1e-3
 """Curvature along a coordinate that an ascent keeps, and predicted gain below which it ends, in nats."""
 _FAR, _EXCESS = 2.0, 0.5
-"""Distance from a Gaussian's centre, in standard deviations, and the log-density there in excess of the Gaussian's
-from which it is taken for a plateau."""
+"""Distance from a Gaussian's centre, in standard deviations, at which the density is compared with the Gaussian,
+and difference of their logarithms above which the density has a plateau there."""
 _INSIDE = 1e-9  # of x, in which rounding may move a point out of the box
 
 
@@ -69,9 +69,10 @@ def components_along(problem: UpdatingProblem, maxima: Maxima) -> tuple[list[Qua
 
     The size of the discrepancy is the problem's last parameter. For each size on a grid, ascents from the maxima
     find the highest points with this size fixed. The component at such a point is the Gaussian of the other
-    parameters given the size. Along the size, it is as wide as the grid is coarse. If the data hardly inform a
-    parameter beyond some value, such as the stiffness of a nearly rigid spring, its density has a plateau that no
-    Gaussian covers. A second grid then extends over the parameter with the highest plateau, if few values suffice.
+    parameters given the size. Along the size, its standard deviation is 0.8 times the grid spacing. If the data
+    hardly inform a parameter beyond some value, such as the stiffness of a nearly rigid spring, its density has a
+    plateau that no Gaussian covers. A second grid then extends over the parameter with the highest plateau, if few
+    values suffice.
 
     Parameters
     ----------

@@ -34,9 +34,9 @@ width."""
 
 
 def slope(scaled: ScaledDensity, model: Quadratic) -> float:
-    """Return the slope of log P in nats per posterior standard deviation, along coordinates at no active bound.
+    """Return the slope of log P in nats per posterior standard deviation, ignoring coordinates at active bounds.
 
-    The slope is √(gᵀH⁻¹g) over these free coordinates, that is the gradient's length in the posterior metric.
+    The slope is √(gᵀH⁻¹g) over the other coordinates. This is the gradient's length in the posterior metric.
     """
     from fmu.posterior.ascent import decrement
 

@@ -88,7 +88,7 @@ def _reach(theta: FloatArray) -> float:
 
 
 def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
-    """Return sentences on maxima with mass that a run missed, or visited out of proportion.
+    """Return sentences on important maxima that a run missed, or visited out of proportion.
 
     Parameters
     ----------
@@ -110,9 +110,9 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     If the two differ by more than a factor `OUT_OF_PROPORTION`, and are not both below 5 %, one of them is wrong;
     the estimate with the larger ESS counts. For the fraction this is the ESS of the indicator "at this maximum",
     or the number of chains if no chain enters or leaves the maximum. For the probability it is the ESS of the
-    importance weights. If no draw is near some important maximum, only such maxima are reported. Otherwise nothing
-    is reported if a draw is higher than all maxima, whose masses are then unreliable; nor for a plain log-density
-    whose maxima have no reliable masses.
+    importance weights. Nothing is reported for a plain log-density whose maxima have no reliable masses. If no
+    draw is near some important maximum, only such maxima are reported. Otherwise nothing is reported if a draw is
+    higher than all maxima, because their masses are then unreliable.
 
     Parameters
     ----------
@@ -202,8 +202,8 @@ def _effective_weights(maxima: Maxima, k: int) -> float:
     """Return the ESS of a maximum's estimated mass.
 
     A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass, or no draw of finite
-    weight. Its mass is then as surely negligible as the other masses are known, so the largest ESS of any maximum
-    is returned.
+    weight. Such a mass is certainly negligible if the other masses are right, so the largest ESS of any maximum is
+    returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
@@ -271,14 +271,14 @@ def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> N
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
-    """Return a sentence on each region with more than 1 % of the mass that another run visited, but not this run.
+    """Return a sentence for each other run that visited a region with over 1 % of the mass, if this run missed it.
 
     A draw of another run is far if its distance to every draw of this run exceeds three times the gap between this
     run's chains, in the metric of the covariance within those chains. The gap is the 99 % quantile of the
-    distances from a draw to the nearest draw of another chain. The mass of the far draws is estimated as exp(E[log
-    P] + S), where S is the entropy of a Gaussian; this is exact if P is Gaussian. It is compared with the same
-    estimate for this run, or with the total mass of the known maxima if that is larger. Regions near a known
-    maximum are left to `missed_maxima`.
+    distances from a draw to the nearest draw of another chain, or of the other half of a single chain. The mass of
+    the far draws is estimated as exp(E[log P] + S), where S is the entropy of a Gaussian; this is exact if P is
+    Gaussian. It is compared with the same estimate for this run, or with the total mass of the known maxima if
+    that is larger. Regions near a known maximum are left to `missed_maxima`.
 
     Parameters
     ----------

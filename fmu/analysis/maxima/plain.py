@@ -102,8 +102,9 @@ class PlainDensity:
     def starting_points(self, starts: int, seed: int) -> FloatArray:
         """Return starting points for the ascents, shape (starts, ndim).
 
-        The first is the density's own starting point or, without one, the middle of its bounds. The others are
-        drawn from the prior or, without a prior, within the bounds or around the first point.
+        The first is the density's own starting point or, without one, the middle of its bounds. A coordinate
+        without two finite bounds is then at the density's `offset`, by default 0, moved into the bounds. The
+        others are drawn from the prior or, without a prior, within the bounds or around the first point.
         """
         from scipy.stats import qmc
 

@@ -151,8 +151,8 @@ class Maxima:
         as a search can.
     level : float
         Third-highest log-density at points scattered over the region in which a plain density was searched. If
-        draws lie above this level, the points are too sparse to find another mode as narrow as this one. Infinite
-        for an updating problem.
+        draws lie above this level, the points are too sparse to find other modes as narrow as the draws' own.
+        Infinite for an updating problem.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -291,7 +291,7 @@ class Maxima:
         return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self) -> list[str]:
-        """Return a sentence on each of the highest maxima at which a bound is active."""
+        """Return a sentence on each maximum with an active bound, among the `MOST_SHOWN` highest."""
         words = [self.words_at_bounds(m) for m in self.maxima[:MOST_SHOWN]]
         titles = [self.title(k).capitalize() for k in range(len(words))]
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
@@ -301,7 +301,7 @@ class Maxima:
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
     def no_maxima(self) -> list[str]:
-        """Return a sentence on each of the highest points at which an ascent ended without reaching a maximum."""
+        """Return a sentence on each point that is not a maximum, among the `MOST_SHOWN` highest."""
         return [
             f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
             f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"

@@ -39,7 +39,7 @@ _HALVINGS = 30
 _SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 _IN_A_NECK = 10.0
-"""ESS of the draws around a maximum, of which there are hundreds, below which its quadratic model is useless."""
+"""ESS below which a maximum's quadratic model is useless; it is estimated from hundreds of draws around it."""
 _FIT_BADLY = 64.0
 """Effective draws below which a model with a discrepancy gets components for many sizes of the discrepancy."""
 _FITS_POORLY = 128.0
@@ -196,8 +196,9 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 def adapt_to_maxima[S: Sampler](settings: S, density: LogDensity, maxima: Maxima | None) -> S:
     """Return the settings of a sampler adapted to quadratic models at the maxima (see `components`).
 
-    Only one maximum may be poor: local steps might leave out one of several. Local steps must also have exact
-    gradients at no further solve.
+    If the quadratic model at a single important maximum is poor, the mixture sampler learns its first components
+    from local steps instead. This requires an updating problem whose exact gradients take no further solves. With
+    several important maxima it is not done, because local steps might miss one of them.
     """
     quadratics, weights, warp = components(density, maxima)
     are_poor = False

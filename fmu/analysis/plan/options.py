@@ -106,9 +106,9 @@ def change_table(
     """Return a table of second tests, each with one structural change, the most informative first.
 
     Columns: ``gain``, the information in nats that the second test adds to the first; ``median_sd`` and
-    ``largest_sd``, the median and the largest of the parameters' standard deviations after both tests, relative to
-    before. The row `AGAIN` is a second test without a change. `changes` maps each name to the changed structure's
-    sensitivities and the indices of its measured modes.
+    ``largest_sd``, the median and the largest ratio of a parameter's standard deviation after both tests to its
+    value before them. The row `AGAIN` is a second test without a change. `changes` maps each name to the changed
+    structure's sensitivities and the indices of its measured modes.
     """
     sd = np.sqrt(design.frequency_sd**2 + drift**2)
     first = design.readings(frequency_sd=sd)

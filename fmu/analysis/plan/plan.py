@@ -70,16 +70,16 @@ def plan(
     the measured values with respect to the scaled parameters, and Σ_e the variances of the measurement errors. An
     upper bound from convex relaxation shows how far the plan can be from the best choice. Parameter bounds and
     non-Gaussian posteriors are ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the most
-    informative sensors would not let the modes be paired by MAC, only choices that do are considered, if there are
-    any.
+    informative sensors do not allow the modes to be paired by MAC, only choices that allow it are considered, if
+    there are any.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        One test of a structure, or several tests (`fmu.JointProblem`) of which the next is planned. With one test,
-        only the model, the prior and the frequency errors are used, so the data may come from an earlier test or
-        from the model (`fmu.expected_modes`). After several tests, the plan starts from their linearised posterior
-        or, with a trace, from a run's posterior.
+        One test of a structure, or several tests (`fmu.JointProblem`), after which the next test is planned. With
+        one test, only the model, the prior and the frequency errors are used, so the data may come from an earlier
+        test or from the model (`fmu.expected_modes`). After several tests, the plan starts from their linearised
+        posterior or, with a trace, from a run's posterior.
     sensors : int
         Number of sensors to choose, in addition to the mounted ones. With a budget, the largest number.
     candidates : sequence of (place, direction), optional
@@ -110,7 +110,8 @@ def plan(
         Relative standard deviation of the frequencies that repeated tests do not reduce.
     target : str, sequence of str, mapping, callable or DamageTarget, optional
         Purpose of the test, if not all parameters matter equally: parameter names, a combination as weights by
-        name, a prediction that maps theta (n, ndim) to (n,), or a decision about damage (`fmu.DamageTarget`).
+        name, a prediction that maps theta without inferred error parameters, (n, n_structural), to (n,) or (n, t),
+        or a decision about damage (`fmu.DamageTarget`).
     changes : mapping of str to Change, optional
         Known structural changes, each for a second test, keyed by name. They require a model with matrices.
     place_names : mapping of place to str, optional
@@ -132,14 +133,14 @@ def plan(
     Raises
     ------
     ValueError
-        If a sensor or place does not exist, a sensor is given twice, there are fewer candidates than sensors, the
-        budget is too small for one sensor, a cost is not positive, the candidates do not see a mode, no mode moves
-        a candidate, the modes are not distinct or the model lacks one, `frequency_sd` has the wrong shape, the
-        model gives no mode shapes, `changes` or `min_distance` is given for a model without matrices or
-        coordinates, `like` is not the name of one of several tests, the trace has other parameters, the target
-        names an unknown parameter, depends on none or does not suit the problem, or a parameter has a separate
-        value in each test. If parameters form populations and the model has a discrepancy, also if there is no
-        trace.
+        If `problem` is not an UpdatingProblem, a sensor or place does not exist, a sensor is given twice, there
+        are fewer candidates than sensors, the budget is too small for one sensor, a cost is not positive, the
+        candidates do not see a mode, no mode moves a candidate, the modes are not distinct or the model lacks one,
+        `frequency_sd` has the wrong shape, the model gives no mode shapes, `changes` or `min_distance` is given
+        for a model without matrices or coordinates, `like` is not the name of one of several tests, the trace has
+        other parameters, the target names an unknown parameter, depends on none or does not suit the problem, or a
+        parameter has a separate value in each test. If parameters form populations and the model has a
+        discrepancy, also if there is no trace.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -232,10 +233,11 @@ def _frequency_sd(
 ) -> FloatArray | float:
     """Return the relative standard deviations of the frequencies in a test of the problem, (n_modes,).
 
-    Those of a covariance are the roots of its diagonal: a plan takes errors for independent. Those of Student's
-    errors are the sds of Gaussian errors with the same information, σ √((ν + 3)/(ν + 1)). If that test has another
-    number of modes, return their median; without frequency errors, return `FREQUENCY_SD`. Inferred standard
-    deviations have their posterior means or, without a run, their starting values.
+    For a covariance, they are the square roots of its diagonal, because a plan treats errors as independent. For
+    Student's errors, they are the standard deviations of Gaussian errors with the same information, σ √((ν + 3)/(ν
+    + 1)). If that test has another number of modes, return their median; without frequency errors, return
+    `FREQUENCY_SD`. Inferred standard deviations have their posterior means or, without a run, their starting
+    values.
     """
     term, n = problem.likelihood.frequency_term, problem.n_structural
     if term is None:

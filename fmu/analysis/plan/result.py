@@ -63,9 +63,10 @@ class Plan:
         ``information`` of the mounted sensors and the first n chosen ones, one row per n from 0.
     choices : DataFrame
         The plan, the most informative choice if it does not allow pairing, and the customary choices:
-        ``information``; ``median_sd``, relative to before the test; ``largest_auto_mac`` off the diagonal;
-        ``wrong_pairs``, the largest fraction of wrong pairings of any mode; for a decision about damage, also
-        ``if_none`` and ``if_twice`` (`Decision.worst`).
+        ``information``; ``median_sd``, the median over the parameters of the expected standard deviation relative
+        to its value before the test; ``largest_auto_mac`` off the diagonal; ``wrong_pairs``, the largest fraction
+        of wrong pairings of any mode; for a decision about damage, also ``if_none`` and ``if_twice``
+        (`Decision.worst`).
     modes, repeats, second_tests : DataFrame
         See `fmu.analysis.plan.options`; `second_tests` is None without changes.
     pairing : Pairing
@@ -134,7 +135,8 @@ class Plan:
     def parameters(self) -> pd.DataFrame:
         """Return a table of expected standard deviations in SI units, one row per parameter.
 
-        Columns: ``before`` the test, after measuring the ``frequencies`` alone, and ``after`` the whole test.
+        The columns are the standard deviations before the test (``before``), after a measurement of the
+        frequencies alone (``frequencies``), and after the whole test (``after``).
         """
         readings = self.design.readings(frequency_sd=self.frequency_sd)
         columns = {

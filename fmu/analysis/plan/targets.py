@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 
 Target = str | Sequence[str] | Mapping[str, float] | Callable[[FloatArray], FloatArray] | DamageTarget
-"""Parameter names; weights of a combination, by name; a prediction from theta (n, ndim) to (n,) or (n, t); or a
-decision about damage."""
+"""Parameter names; weights of a combination, by name; a prediction from theta without inferred error parameters,
+(n, n_structural), to (n,) or (n, t); or a decision about damage."""
 
 
 PROBABILITIES = ("before", "if_none", "if_twice")

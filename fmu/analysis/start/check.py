@@ -63,7 +63,8 @@ class Check:
         Computed modes at the starting point, paired with the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
-        None if there is no error model of modes (modal residual, or FRFs alone), or the gradient is not finite.
+        None if there is no error model of modes (only the modal residual or only FRFs), or if the gradient at the
+        starting point is not finite.
     prior : PriorPrediction
         Prior prediction of the measured frequencies.
     rounding : str
@@ -88,7 +89,7 @@ class Check:
     points : Matching or None
         Test points matched to nodes of the model; None if no coordinates were given.
     frfs : MeasuredFRFs or None
-        Measured FRFs and the model's at the starting point; None if there are none.
+        Measured FRFs, with the model's FRFs at the starting point; None if there are none.
     """
 
     name: str
@@ -161,9 +162,10 @@ class Check:
         return self.modes.correlation.table().map(fixed, places=2).reset_index()
 
     def prior_table(self) -> pd.DataFrame:
-        """Return a text table with the measured frequencies, their prior predictions, Hz, and the distances.
+        """Return a text table of the measured frequencies and their prior predictions, in Hz, and the distances.
 
-        The distances are in standard deviations.
+        Each distance is the measured frequency minus its prior prediction, in standard deviations of the
+        prediction.
         """
         table = self.prior.table()
         shown = table[["measured"]].map(given)
@@ -177,7 +179,7 @@ class Check:
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
     def _blocks(self) -> list[Block]:
-        """Return all sections of the report after the model's, each with a title, sentences and a text table."""
+        """Return all sections of the report except the model's description: titles, sentences and text tables."""
         blocks: list[Block] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumption_block(),
@@ -294,7 +296,7 @@ def check(
     ----------
     problem : UpdatingProblem
     draws : int
-        Number of draws from the prior at which the model is solved, at least 2.
+        Number of draws from the prior at which the model is solved, from 2 to 1 000 000.
     seed : int
         Seed of these draws, and of the points at which the gradient is checked.
 
@@ -306,7 +308,8 @@ def check(
     Raises
     ------
     ValueError
-        If `problem` is not an updating problem, `draws` is less than 2, or the model fails at the starting point.
+        If `problem` is not an updating problem, `draws` or `seed` is out of range, or the model fails at the
+        starting point.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -345,7 +348,7 @@ def check(
 
 
 def _without_purpose(problem: UpdatingProblem) -> list[str]:
-    """Return a list with a sentence on the parameters that are neither updated nor scatter, if there are any."""
+    """Return a list with a sentence on parameters that are not updated and do not scatter, if there are any."""
     likelihood = discrepant_likelihood(problem)
     scattered = [] if likelihood is None else likelihood.errors.scattered.tolist()
     idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]

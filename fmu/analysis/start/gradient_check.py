@@ -61,7 +61,7 @@ class GradientCheck:
 
     @property
     def largest(self) -> float:
-        """Largest relative error, or NaN if a component could not be computed."""
+        """Largest relative error; NaN or infinite if a component could not be computed."""
         return float(np.max(self.relative_error))
 
     @property

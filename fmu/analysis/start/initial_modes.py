@@ -55,15 +55,17 @@ class InitialModes:
         Computed modes, in ascending order or in the order of a user's function, up to two beyond the last paired
         one.
     mac : ndarray, shape (n_modes, n_computed), or None
-        MAC between measured and computed shapes at the sensors; None if no shapes were measured.
+        MAC between measured and computed shapes at the sensors. None if no shapes were measured, the modes of a
+        user's function are paired by number, or the model computes only paired modes, as for several tests.
     doubts : tuple of str
         Warnings about the pairing, one sentence each.
     notes : tuple of str
         Further remarks on the pairing.
     correlation : Correlation or None
-        Comparison of the measured and computed shapes at the sensors; None if no shapes were measured.
+        Comparison of the measured and computed shapes at the sensors; None if `mac` is None.
     mpc : ndarray, shape (n_modes,), or None
-        Modal phase collinearity of the measured shapes; None unless they were complex.
+        Modal phase collinearity of the measured shapes; None if they were real, or the model computes only paired
+        modes.
     """
 
     labels: tuple[str, ...]
@@ -98,7 +100,8 @@ class InitialModes:
         The columns are ``number``, ``computed_hz``, the label ``mode`` of the paired measured mode,
         ``measured_hz``, ``error_percent``, ``mac``, ``subspace_mac`` of its group of close modes
         (`fmu.fem.pairing.correlation`), ``mpc`` of a measured shape that was complex, ``moves`` (the directions
-        with most kinetic energy) and ``seen`` (whether the mode moves a sensor). Values that do not exist are NaN.
+        with most kinetic energy) and ``seen`` (whether the mode moves a sensor). If a value does
+        not exist, ``number`` is None, ``mode`` is empty, and any other number is NaN.
         """
         import pandas as pd
 

@@ -72,7 +72,7 @@ class MeasuredInTest:
 
     @classmethod
     def of(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
-        """Return an FRF likelihood term's measured FRFs, and the model's at its parameters `own` (1, n_own)."""
+        """Return the measured FRFs of a likelihood term, with the model's FRFs at parameters `own` (1, n_own)."""
         there = term.data.used | held_out(term.data)
         computed = np.full(there.shape, np.nan, dtype=complex)
         computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]
@@ -101,6 +101,6 @@ class MeasuredInTest:
 
 
 def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
-    """Return a problem's measured FRFs and the model's at the starting point, or None if there are none."""
+    """Return a problem's measured FRFs, with the model's FRFs at the starting point, or None if there are none."""
     found = tuple(MeasuredInTest.of(*one) for one in problem.responses_at(problem.start[None]))
     return MeasuredFRFs(found) if found else None

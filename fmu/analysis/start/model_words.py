@@ -124,7 +124,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     This mass is a check on units and densities. Next to a support the translation bends the elements, whose rotary
     inertia adds to the transverse mass. If the masses in all directions agree within 10 %, only the smallest is
     stated. Degrees of freedom without named directions are not summed: the sentence then gives the range of the
-    mass matrix's diagonal.
+    mass matrix's diagonal. The list is empty if there are no free translations.
     """
     M = structure.M(problem.model_parameters(problem.start[None])[0])
     if all(is_node(node) and direction == "x" for node, direction in structure.dofs):

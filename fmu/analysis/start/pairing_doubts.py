@@ -22,7 +22,8 @@ class ComputedMode:
     Attributes
     ----------
     number : int or None
-        Number in the sorted spectrum, from 1; None if the model computes only paired frequencies.
+        Number from 1, in the sorted spectrum or in the order of a user's function; None if the model computes only
+        paired frequencies.
     frequency_hz : float
     measured : int or None
         Index of the paired measured mode; None if the mode is not paired.
@@ -45,7 +46,9 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings about measured modes that are unlike their paired mode, or about as similar to another one.
+    """Return warnings about measured modes that differ from their paired mode, or resemble another one as much.
+
+    A mode is also reported if its MAC with another computed mode is smaller, but by less than `RIVAL`.
 
     Similarity is judged by MAC: `alike`, shape (n_modes, n_computed), or None if no shapes were measured. `paired`
     gives the column of each measured mode. Close modes are skipped if their subspace matches the measured one.

@@ -27,6 +27,8 @@ DRAWS = 200
 class PriorPrediction:
     """Frequencies at draws from the prior, compared with the measured frequencies, Hz.
 
+    All statistics of the prediction are NaN if the model was solved at fewer than two draws.
+
     Attributes
     ----------
     labels : tuple of str
@@ -47,7 +49,7 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """`frequencies`, or NaN of shape (2, n_modes) if there are fewer than two draws and so no spread."""
+        """The computed frequencies, or NaNs of shape (2, n_modes) if there are fewer than two draws."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 
@@ -58,12 +60,15 @@ class PriorPrediction:
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviation of the predicted measurement, noise included, Hz, shape (n_modes,)."""
+        """Standard deviation of the predicted measurement, Hz, shape (n_modes,).
+
+        It includes the measurement error, unless `noise_sd` is NaN.
+        """
         return np.asarray(np.hypot(self._drawn.std(axis=0, ddof=1), np.nan_to_num(self.noise_sd)))
 
     @property
     def interval(self) -> FloatArray:
-        """90 % interval ends of the computed frequencies, Hz, shape (2, n_modes)."""
+        """Ends of the central 90 % intervals of the computed frequencies, Hz, shape (2, n_modes)."""
         return np.asarray(np.quantile(self._drawn, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
 
     @property
@@ -165,8 +170,8 @@ def _noise_sd(
 ) -> FloatArray:
     """Return the standard deviations of the frequency errors, (n_modes,), Hz.
 
-    Unless they are known in Hz, they are computed from errors simulated at the prior draws `theta`. They are NaN
-    if the error model has no frequency errors, or if no draw was solved.
+    If they are known in Hz, the known values are returned. Otherwise they are computed from errors simulated at
+    the prior draws `theta`, and are NaN if the error model has no frequency errors or no draw was solved.
     """
     if problem.likelihood.error is not None:
         return np.asarray(problem.likelihood.error.sd)

@@ -158,7 +158,7 @@ class Kept:
     Attributes
     ----------
     draws, warmup : tuple of ndarray of int, shape (n,)
-        Each ensemble's indices of its stored steps. Warm-up steps are not thinned.
+        Indices of the stored steps of each ensemble. Warm-up steps are not thinned.
     discard : tuple of int
         Number of stored steps discarded at the beginning of each ensemble.
     thin : int

@@ -65,7 +65,8 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     ----------
     problem : UpdatingProblem
     states : mapping of str to array_like, shape (ndim,)
-        Parameter vectors in SI units, keyed by state. Mode shapes are compared with the first state's.
+        Parameter vectors in SI units, keyed by state. Without measured shapes, mode shapes are compared with
+        those in the first state.
 
     Returns
     -------
@@ -74,13 +75,14 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         - For a structure with system matrices also ``mac`` (state, reference_mode, mode): the MAC with the
           measured shapes at the sensors or, without measured shapes, with the first state's shapes at all
           translations, as stated in ``mac.attrs["reference"]``.
-        - If shapes were measured, also ``component`` (state, mode, place), the computed shapes at the sensors, and
-          ``measured`` (mode, place).
+        - For such a structure with measured shapes also ``component`` (state, mode, place), the computed
+          shapes at the sensors, and ``measured`` (mode, place).
         - If the geometry is known, also ``displacement`` (state, mode, node, direction), where the largest of each
-          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads; and, if shapes
-          were measured, ``site`` (place, direction), the sensors' positions in m, and ``expanded`` (mode, node,
-          direction), the measured shapes in their own scale, expanded by the modes in the second state (the
-          posterior mean in a trace), unless there are too few sensors.
+          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads (also if
+          the structure has lines for plotting instead); and, if shapes were measured, ``site`` (place, direction),
+          the sensors' positions in m, and ``expanded`` (mode, node, direction), the measured shapes in their own
+          scale, expanded by the modes in the second state (the posterior mean in a trace), unless there are too
+          few sensors.
         - For a structure without geometry, ``component`` is at all translations if there are at most 40, and the
           largest component of each mode is 1.
         - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test; the

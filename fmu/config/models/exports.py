@@ -86,8 +86,8 @@ class ExportsTable(ModelTable):
 
     type: Literal["exports"]
     exports: Annotated[list[ExportedTable], Field(max_length=MOST_EXPORTS)] = []
-    """Not needed with [model.runs], where there is one run per parameter: this has its starting value, all others
-    a thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
+    """Not needed with [model.runs]. The program then runs once per parameter: that parameter has its starting
+    value, and all others have a thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
     runs: RunsTable | None = None
     mesh: FileName | None = None
     """File of nodes and elements for plots; the deck by default with [model.runs]."""

@@ -61,7 +61,10 @@ def _spring(
 
 
 class Member(TomlTable):
-    """A straight member between two points, with `elements` elements; `y_direction` as in `fmu.ElementGroup`."""
+    """A straight member between two points, divided into equally long elements.
+
+    `elements` is the number of elements. `y_direction` is explained in `fmu.ElementGroup`.
+    """
 
     start: Annotated[Name, Field(alias="from")]
     end: Annotated[Name, Field(alias="to")]

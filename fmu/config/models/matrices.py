@@ -43,7 +43,8 @@ class TermTable(TomlTable):
     variable: FileName | None = None
     """Name of the matrix, if the file contains several."""
     triangle: bool | Literal["lower", "upper"] = False
-    """Whether the file contains only one triangle of the matrix."""
+    """Whether the file contains only one triangle of the matrix; "lower" or "upper" also requires that it is that
+    triangle."""
     factor: float = 1.0
     """A number by which the matrix is multiplied."""
     powers: dict[Name, float] = {}
@@ -183,8 +184,8 @@ class MatricesTable(ModelTable):
         """Return the matrices on their common degrees of freedom, and the names of these.
 
         If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom that
-        Abaqus fixes by a stiffness of 1e36 are removed. With names or a mesh, so are those at which all matrices
-        are zero. Raise BrokenError if the matrices do not fit together.
+        Abaqus fixes by a stiffness of 1e36 are removed. If there are names or a mesh, degrees of freedom
+        at which all matrices are zero are removed too. Raise BrokenError if the matrices do not fit together.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None

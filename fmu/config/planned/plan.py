@@ -104,7 +104,9 @@ class PlanTable(TomlTable):
         return _MODES if self.modes is None else self.modes if isinstance(self.modes, int) else max(self.modes)
 
     def all_sensors(self, built: Built) -> tuple[Dof, ...]:
-        """Return the candidate and mounted sensors. Used if the model does not list its degrees of freedom.
+        """Return the candidate and mounted sensors, each only once.
+
+        This is used for a model that does not list its degrees of freedom.
 
         Raises
         ------

@@ -70,7 +70,7 @@ class Recovery:
     fitted : float
         Largest error of an entry, relative to √(a_ii a_jj), in the exports used.
     checked : float or None
-        The same in the exports reserved for checking; None if there are none.
+        Largest such error in the exports reserved for checking; None if there are none.
     digits : int
         Significant digits of the exported numbers; 17 if they are exact, as in binary files.
     rounding : float
@@ -239,7 +239,9 @@ def recover(
     changed: BoolArray,
     bounds: FloatArray,
 ) -> Recovery:
-    """Recover one matrix as a sum of terms; `changed` (n_parameters, n) marks what each parameter changes.
+    """Recover one matrix as a sum of terms.
+
+    `changed` (n_parameters, n) marks the entries that each parameter changes.
 
     Entries changed by the same parameters have the same terms. If two parameters change neighbouring elements, the
     entries at the common nodes have the terms of both parameters. These terms are already known, because entries
@@ -295,7 +297,7 @@ def recover(
 def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ...]]:
     """Return sets of `size` terms, simplest first.
 
-    Of very many sets, only ten times as many as may be tried are considered.
+    If there are very many sets, only the first 10 × `_MOST_TRIED` of them are sorted and returned.
     """
     some = islice(combinations(choices, size), 10 * _MOST_TRIED)
     return sorted(some, key=lambda one: sum(map(_complexity, one)))

@@ -132,8 +132,9 @@ def horizontal(axis: ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Horizontal and normal to the element, where global z is up; not normalised. Global y for elements inclined
-        by less than a thousandth from the vertical, whose horizontal normal would depend on rounding.
+        Vectors that are horizontal (global z is up) and normal to each element. They are not normalised. If an
+        element is inclined by at most a thousandth from the vertical, its horizontal normal would depend on
+        rounding, and the vector is global y instead.
     """
     vector = np.asarray(axis, dtype=float)
     direction = np.stack([-vector[:, 1], vector[:, 0], np.zeros(len(vector))], axis=1)

@@ -281,7 +281,9 @@ class JointSpring:
         return self.stiffness[direction]
 
     def elongation(self, direction: str, nodes: FloatArray) -> dict[int, float]:
-        """Return the elongation in a direction, as weights keyed by degree of freedom 6 · node + 0 … 5.
+        """Return the elongation in a direction as a weighted sum of degrees of freedom.
+
+        The weights are keyed by degree of freedom, 6 · node + 0 … 5.
 
         Parameters
         ----------

@@ -248,7 +248,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
 def view_of(nodes: FloatArray) -> FloatArray:
     """Return the two axes of the plot, shape (2, 3).
 
-    Plane structures are viewed face-on, straight ones from a side, and all others from a corner.
+    Structures in a plane parallel to a coordinate plane are viewed face-on, and all others from a corner.
     """
     extent = np.ptp(nodes, axis=0)
     is_flat = extent <= _FLAT * extent.max()
@@ -301,7 +301,7 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _find_supports(model: SeparableModel) -> list[int]:
-    """Return the rows of the element nodes that can move in fewer directions than the node with the most.
+    """Return the rows of the element nodes that can move in fewer directions than the freest node.
 
     Rotations are ignored in a mesh from another program, because its nodes may lack rotations without being fixed.
     """
@@ -377,9 +377,9 @@ def _arrow(at: FloatArray, direction: FloatArray, heads: int = 1) -> str:
 
 
 def _rotation(at: FloatArray, axis: FloatArray) -> str:
-    """Return a sensor of a rotation as SVG, for its axis (3,): to the right, upwards and towards the reader.
+    """Return a sensor of a rotation as SVG: a two-headed arrow, or a curved one if its axis is along the view.
 
-    It is an arrow with two heads, or a curved arrow if the axis points at the reader or away.
+    The components of `axis` (3,) are to the right, upwards and towards the reader.
     """
     if np.linalg.norm(axis[:2]) >= _FLAT:
         return _arrow(at, axis[:2], heads=2)

@@ -46,8 +46,9 @@ class FreeMotions:
         Strain-free rigid-body motions of the whole structure: translation, m, and rotation, rad, about the centre
         of the nodes. None if they are unknown; see `rigid_motions`.
     negative : ndarray, shape (n_dof, n_negative)
-        Motions with negative strain energy, which no real structure has. Of a large block with such motions, one
-        is given here, and none in `shapes`.
+        Motions with negative strain energy, which no real structure has. If a decoupled block of more than
+        `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom has such motions, only one of them is given
+        here, and no motion of that block is in `shapes`.
     """
 
     shapes: FloatArray
@@ -84,8 +85,9 @@ def _lowest_motions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the motions with zero and with negative energy xᵀ A x of a symmetric matrix A, each (n_dof, n).
 
-    Of a large block with negative energy, only one motion is returned. If A is K at `theta` (n_parameters,), the
-    factorisations of large blocks are stored for the first solve.
+    If a block of more than `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom has motions with negative
+    energy, only one motion of that block is returned. If A is K at `theta` (n_parameters,), the factorisations of
+    blocks with at least `LARGE` degrees of freedom are stored for the first solve.
     """
     zero, negative = ([np.zeros((model.n_dof, 0))] for _ in range(2))
     for dofs in model.blocks:
@@ -112,8 +114,8 @@ def require_stable(
     theta : array_like, shape (n_parameters,)
         Usually the starting point.
     free : bool
-        True if the structure is meant to be free. Its rigid-body motions are then allowed; if these are not
-        known, up to six strain-free motions are.
+        True if the structure is meant to be free. Its rigid-body motions are then allowed. If these are not
+        known, up to six strain-free motions are allowed instead.
     label : callable
         Returns a node's name.
 

@@ -97,8 +97,9 @@ def ownership(
     Raises
     ------
     ValueError
-        If names are not distinct, a target does not exist or is updated twice, a factor multiplies a value of
-        zero, or the targets of a parameter that is no factor have values in different units.
+        If names are not distinct, a target does not exist or is updated twice, an inertia of zero is updated
+        without a direction, a factor multiplies a value of zero, or the targets of a parameter that is no factor
+        have values in different units.
     """
     things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):

@@ -20,7 +20,7 @@ from fmu.progress.phases import phase
 from fmu.types import ComplexArray, FloatArray
 
 ALLOWED = 0.1
-"""Largest posterior shift and largest error of direct solves allowed, in standard deviations."""
+"""Largest posterior shift, and largest difference from direct solves, that are allowed, in standard deviations."""
 _PREFIX = "frf_certificate_"
 _LOSS = 0.02
 """Loss factor with which the full structure is solved directly, line by line."""

@@ -126,9 +126,9 @@ class ProportionalDamping:
     def pull_back(
         self, lam: FloatArray, values: FloatArray, viscous: FloatArray, hysteretic: FloatArray
     ) -> FloatArray:
-        """Return derivatives with respect to the damping parameters, (n, q), by the chain rule.
+        """Return the derivatives of a scalar with respect to the damping parameters, (n, q), by the chain rule.
 
-        `viscous` and `hysteretic`, shape (n, r), are the derivatives with respect to c_r and h_r.
+        `viscous` and `hysteretic`, shape (n, r), are its derivatives with respect to c_r and h_r.
         """
         found = np.zeros(values.shape)
         omega = np.sqrt(np.maximum(lam, 0.0))

@@ -29,8 +29,9 @@ from fmu.types import ComplexArray, FloatArray, IntArray
 EXACT_LIMIT = 64
 """Block size up to which the basis has all degrees of freedom."""
 TOLERANCE = 1.0
-"""Largest combined error of all lines, in units of their errors. It moves a posterior by only a small part of
-this, because most of the error does not look like a parameter change (`fmu.fem.frf.confirming`)."""
+"""Largest combined error of all FRFs and lines, where each error is divided by its unit (`Lines.error`). Such an
+error moves a posterior by only a small part of this, because most of it does not look like a parameter change
+(`fmu.fem.frf.confirming`)."""
 _BEYOND = 1.3
 """Modes up to this multiple of the band's highest frequency are in the basis."""
 _SHIFTS = (0.0, 0.55, 1.02)

@@ -109,7 +109,7 @@ def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
 def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
     """Return terms that depend only on the parameters in `kept`.
 
-    All others are fixed at their values in `at` (1, n_parameters).
+    All other parameters are fixed at their values in `at` (1, n_parameters).
     """
     gone = [j for j in range(at.shape[1]) if j not in kept]
     found = []

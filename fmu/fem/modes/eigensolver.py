@@ -154,7 +154,7 @@ def _is_strained(S: Matrix, X: FloatArray) -> BoolArray:
 
 
 def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes of a structure, of which the strain-free motions N (n, r), NᵀMN = I, come first."""
+    """Return the lowest modes of a free structure. The strain-free motions N (n, r), NᵀMN = I, come first."""
     n, r = N.shape
     if count <= r:
         return np.zeros(count), N[:, :count]
@@ -209,7 +209,7 @@ def _start(n: int) -> FloatArray:
 
 
 def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
-    """Factorise S + s M with a shift s that makes it definite. Raise SingularMassError if none of 24 does."""
+    """Factorise S + s M with a shift s that makes it definite. Raise SingularMassError if 24 shifts fail."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
@@ -299,12 +299,12 @@ def _dense(matrix: Any) -> FloatArray:
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
-    """Return all near-zero and negative eigenvalues of a matrix with unit diagonal, and usually some above.
+    """Return all near-zero and negative eigenvalues of a matrix with unit diagonal, and usually a few larger ones.
 
     Returns
     -------
     eigenvalues : ndarray, shape (m,), ascending
-        If a large matrix has eigenvalues below −`NEGATIVE`, a single one of these.
+        If a matrix of more than `DENSE_LIMIT` rows has eigenvalues below −`NEGATIVE`, only the lowest is given.
     vectors : ndarray, shape (n, m), orthonormal
     """
     n = S.shape[0]
@@ -339,9 +339,9 @@ def rank(matrix: Matrix) -> int:
     """Return the rank of a positive semidefinite matrix. Raise SingularMassError if it is not semidefinite.
 
     The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
-    as in solids with reduced integration, and an iteration that searches for all of them would take too long. In
-    that case, with the diagonal scaled to one, eigenvalues within ±`NEGATIVE` count as zero, because a matrix
-    exported with few digits has zero eigenvalues only to that accuracy. In a small matrix, those below `ZERO` do.
+    as in solids with reduced integration, and a search for all of them would take too long. With the diagonal
+    scaled to one, eigenvalues within ±`NEGATIVE` then count as zero, because a matrix exported with few digits has
+    zero eigenvalues only to that accuracy. In a small matrix, eigenvalues below `ZERO` count as zero.
     """
     matrix = _dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix
     diagonal = matrix.diagonal()

@@ -237,7 +237,7 @@ class SeparableModel:
         Raises
         ------
         ValueError
-            If a term names an unknown parameter, or as for the class.
+            If a term names an unknown parameter or has no real matrix, or as for the class.
         """
         names = tuple(parameters)
         K_terms, M_terms = (
@@ -384,7 +384,7 @@ def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
 
 
 def _check_names(model: SeparableModel) -> None:
-    """Raise ArgumentError unless the rows have distinct names, and ties and motions are of these names."""
+    """Raise ArgumentError unless each row has a distinct name, and ties and motions refer to known names."""
     if len(model.dofs) != model.n_dof:
         raise ArgumentError("dofs", f"must name {model.n_dof} degrees of freedom", len(model.dofs))
     twice = first_repeated(model.dofs)

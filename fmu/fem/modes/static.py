@@ -25,8 +25,8 @@ _DEPENDENT = 1e-13
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
     """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along one axis.
 
-    It is zero if no node is free along this axis. A node that is free only along axes of its own moves by the part
-    of the metre along these.
+    It is zero if no node is free along this axis. For degrees of freedom along a node's local axes, the entries
+    are the components of this displacement along these axes.
     """
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
@@ -39,7 +39,7 @@ def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
 
 
 def _along_own_axes(model: SeparableModel) -> set[Dof]:
-    """Return the names of translations that are along axes of their node's own, not along global axes."""
+    """Return the names of translational degrees of freedom that are along a local axis of their node."""
     return {
         name
         for (node, _), weights in model.motions.items()

@@ -112,7 +112,10 @@ def _power(x: float, power: float) -> float:
 
 
 def check_terms(name: str, terms: Sequence[Term], n_dof: int, n_parameters: int) -> None:
-    """Raise ArgumentError unless terms are symmetric and finite, (n_dof, n_dof), with powers of all parameters."""
+    """Raise ArgumentError if a term is not symmetric and finite, or has the wrong shape or number of powers.
+
+    The shape must be (n_dof, n_dof), and each parameter must have a finite power.
+    """
     for k, term in enumerate(terms):
         if term.matrix.shape != (n_dof, n_dof):
             raise ArgumentError(f"{name}.{k}", f"must have shape {(n_dof, n_dof)}", term.matrix.shape)

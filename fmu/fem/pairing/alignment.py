@@ -43,7 +43,7 @@ Alignment = tuple[FloatArray, FloatArray]
 def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
     """Return the rotation R and shift t that minimise Σ |R x + t − y|² for each set of n points (Kabsch 1976).
 
-    If the points leave a rotation undetermined, as collinear points do, R does not rotate about that axis.
+    If several rotations fit equally well, as for collinear points, R is the one with the smallest angle.
 
     Parameters
     ----------

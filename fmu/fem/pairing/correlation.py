@@ -1,4 +1,4 @@
-"""Test–model correlation: measured modes with each other, close modes as a subspace, and sensor by sensor.
+"""Test–model correlation of shapes, at each sensor and for close modes, and correlation between measured modes.
 
 After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. Measured
 shapes are scaled to the computed shapes by least absolute deviations (`scale_shapes`), so that a single wrong

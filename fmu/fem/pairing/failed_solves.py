@@ -33,7 +33,8 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
     model : ModalModel
         If it is a user's function, the recorded reason is returned, and the function is not called again, because
         it may be slow or fail differently. For the surrogate of a function, the reason is that nearby training
-        points failed. If the model has several tests, the reason names the first test for which one is found.
+        points failed. If the model has several tests, the first reason found is returned, with the name of its
+        test.
     theta : ndarray, shape (n_parameters,)
         Parameters at which the model has just failed.
     """

@@ -321,7 +321,8 @@ class PairedStructure(ModalModel):
     def shapes(self, theta: FloatArray) -> FloatArray:
         """Return the mass-normalised shapes of the paired modes at theta (n_parameters,), shape (n_dof, n_modes).
 
-        A shape is zero outside its mode's block, and NaN in it if the block cannot be solved.
+        All blocks must be full. A shape is zero outside its mode's block, and NaN within it if the block cannot be
+        solved.
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)

@@ -218,8 +218,8 @@ class ShapePairing(Pairing):
     shapes : ndarray, shape (q, n_modes)
         Reference shapes at these coordinates: measured shapes, or shapes of the model before updating.
     margin : int
-        By how much the number of candidates in each block exceeds the number of references. This allows for
-        unmeasured modes below the references, such as rigid-body modes, and for a few modes above.
+        Number of candidates in each block in excess of the number of references, if the block has enough modes.
+        This allows for unmeasured modes below the references, such as rigid-body modes, and for a few modes above.
     """
 
     rows: sp.csr_array

@@ -49,7 +49,7 @@ class CommandModel(BlackBoxModel):
     names : sequence of str
         Parameter names in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
     template : path
-        Template of the input deck; see `fmu.formats.decks`. A placeholder may have a Python format: ``{E1:.9e}``.
+        Template of the input deck. A placeholder may have one of the formats in `fmu.formats.decks`: ``{E1:.9e}``.
         The filled deck has the name of the template, without ``.in`` at the end.
     command : sequence of str
         The program and its arguments, with ``{job}`` and ``{deck}`` for the deck's name without and with its

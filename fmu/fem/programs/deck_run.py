@@ -185,7 +185,8 @@ def _find_program(command: Sequence[str], folder: Path) -> tuple[Path, list[Argu
 def _find_includes(template: Path, deck: Path) -> list[str]:
     """Return the files that a Nastran bulk-data template includes, relative to its folder.
 
-    The list is empty for other kinds of template, and if an included file cannot be read.
+    The list is empty for other kinds of template, and if an included file cannot be read or lies outside that
+    folder.
     """
     if deck.suffix.lower() not in BULK_DATA:
         return []

@@ -1,6 +1,7 @@
 """Multi-point constraints in OpenSees: rigid diaphragms, rigid links and equal degrees of freedom.
 
-A constrained degree of freedom is called a follower here; its displacement is a weighted sum of retained ones.
+A constrained degree of freedom is called a follower here. Its displacement is a weighted sum of the displacements
+of retained degrees of freedom.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ def follower_motions(
     motions : dict of (node, direction) to dict of (node, direction) to float
         For each follower, the weights of the free degrees of freedom. Followers that do not move are omitted.
     notes : list of str
-        One sentence that lists the followers whose displacement is not such a sum; sensors cannot be there. Empty
-        if there are none.
+        One sentence that lists the followers whose displacement is not such a sum. They cannot have sensors. The
+        list is empty if there are no such followers.
     """
     retained = {
         node: sorted(set(ops.getRetainedNodes(node))) for node in sorted(set(ops.getConstrainedNodes() or []))

@@ -206,8 +206,8 @@ class OpenSeesModel(BlackBoxModel):
     start : array_like, shape (n_parameters,)
         Parameters at which the model is built once to obtain its degrees of freedom.
     modes : int
-        Number of modes to compute, or all modes of finite frequency if the model has fewer: degrees of freedom
-        without mass give none.
+        Largest number of modes to compute. If the model has fewer modes of finite frequency, because degrees of
+        freedom have no mass, all of these are computed.
     step, store
         See `BlackBoxModel`.
 
@@ -265,7 +265,7 @@ class ModesInOpenSees:
     ----------
     build : callable
     modes : int
-        Number of modes, or all modes of finite frequency if the model has fewer.
+        Largest number of modes. If the model has fewer modes of finite frequency, all of these are returned.
     sensors : tuple of (node, direction)
         Sensors at which shapes are given.
     """

@@ -85,7 +85,7 @@ class Far(NamedTuple):
         Value of this parameter beyond which the point is far, found by bisection. It is the point's own value if
         the point stays far even after resetting the parameter.
     is_above : bool
-        True if the point is far above `value`, False if below.
+        True if points above `value` are far, False if points below it are.
     is_negative : bool
         Whether K + s M has a negative eigenvalue in the reduced space at the point. Not tested, and False, if the
         bound is `Anchors.proven`.

@@ -58,8 +58,8 @@ class _Start(NamedTuple):
 class ConfirmedBlock(FullBlock):
     """A large block whose modes are computed by iterations that start from the modes of its reduced model.
 
-    Modes that do not converge are computed as in `FullBlock`. So are all modes once one was found to be missing or
-    the modes could not be counted.
+    Modes that do not converge are computed as in `FullBlock`. Once a mode was found to be missing, or the modes
+    could not be counted, all modes are computed in that way.
 
     Parameters
     ----------
@@ -116,7 +116,8 @@ class ConfirmedBlock(FullBlock):
     def _start(self, theta: FloatArray, count: int) -> _Start | None:
         """Return the initial data at theta (1, p), or None if iterations cannot start there.
 
-        They cannot if α is not positive, a reduced problem fails, or a space has no more than `count` vectors.
+        The iterations cannot start if α is not positive, a reduced problem fails, or a space has no more than
+        `count` vectors.
         """
         space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
@@ -137,7 +138,7 @@ def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArr
 
 
 def confirm_blocks(bound: FrequencyBound) -> tuple[FullBlock, ...]:
-    """Return the full blocks behind a bound, with a `ConfirmedBlock` for each large block that was reduced."""
+    """Return the full blocks of `bound`, with a `ConfirmedBlock` for each large block that was reduced."""
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:

@@ -3,8 +3,8 @@
 Decisions based on these costs do not depend on a clock.
 
 The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
-with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Only ratios of costs are compared. On other machines
-the ratios are correct within a factor of two.
+with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Costs are compared with each other, except for the
+limit `fmu.fem.reduced.training.CHEAP`. On other machines their ratios are correct within a factor of two.
 """
 
 from __future__ import annotations

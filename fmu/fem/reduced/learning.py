@@ -99,10 +99,10 @@ class Learner:
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
         """Grow the space at theta (n, p) where needed; return a mask (n,) of the points with small enough errors.
 
-        Before the space grows, the errors of the lowest m modes must be at most `SHARE` times `share` times
-        `allowed` (m,). If an error exceeds `GROWN` times `share` times `allowed`, that mode's correction is added
-        to the space, unless the space is full. The mask is False where the solver fails. All points count as
-        visited.
+        The errors at a point are small enough if, before the space grows there, the errors of the lowest m modes
+        are at most `SHARE` times `share` times `allowed` (m,). If the space `is_whole`, all errors count as zero.
+        The mask is False where the solver fails. If an error exceeds `GROWN` times `share` times `allowed`, that
+        mode's correction is added to the space, unless the space is full. All points count as visited.
         """
         allowed = share * allowed
         good = np.empty(len(theta), dtype=bool)

@@ -101,9 +101,9 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
     """Return up to `n` points (m, n_parameters) in a box, each with some parameters near zero.
 
-    Only parameters whose lower bound is zero are set near zero; without any, there are no points. If a stiffness
-    nearly vanishes, the structure has modes that do not exist where this stiffness is exactly zero, on the face of
-    the box. Points that cover the box evenly miss these modes too.
+    Only parameters whose lower bound is zero are set near zero. If no lower bound is zero, the result is empty.
+    If a stiffness nearly vanishes, the structure has modes that do not exist where this stiffness is exactly zero,
+    on the face of the box. Points that cover the box evenly miss these modes too.
     """
     rng = np.random.default_rng(n + seed)
     points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))

@@ -210,8 +210,8 @@ class ReducedStructure(Approximation):
         The bounds follow from the residuals of the paired modes at theta (n, n_parameters). They do not verify the
         ranks of these modes in the spectrum. A bound is infinite outside the box, or if none is known.
         `fmu.fem.reduced.residuals` explains which parts of the bound are proven and which are estimated. The cost
-        is at most one linear solve per mode, and no eigenproblem of the full model. The matrix is factorised at
-        the first call unless factors are left from training.
+        is at most one linear solve per mode. The first call also factorises the matrix and computes modes of the
+        full model at the anchor points, unless these are left from training.
         """
         with single_thread():
             inside = self.within(theta)
@@ -305,7 +305,7 @@ def train(
     Returns
     -------
     model : ReducedStructure or PairedStructure
-        The reduced model. If it is inaccurate and would save little, the full model, with the reason in
+        The reduced model or, if this is inaccurate and would save little, the full model with the reason in
         `why_full`.
     state : dict of str to ndarray
         The arrays from which `restore` rebuilds the same model.

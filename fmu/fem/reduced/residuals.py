@@ -195,7 +195,7 @@ def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
 class FrequencyBound:
     """Error bounds for a trained model's frequencies at any point in its box.
 
-    They cost at most one solve per mode and point.
+    They cost at most one linear solve per mode and point. Missing anchor points are computed at the first call.
 
     Parameters
     ----------
@@ -269,8 +269,9 @@ class FrequencyBound:
 def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:
     """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ, otherwise False.
 
-    If it has, no mode below σ is missing (Sylvester's law). Return None if the matrix is singular. σ lies in the
-    relatively widest gap above one of the λ with indices `first` to `last` − 1 (to the end if `last` is None).
+    If the numbers agree, no mode below σ is missing (Sylvester's law). Return None if the matrix is singular. σ
+    lies in the relatively widest gap above one of the λ with indices `first` to `last` − 1 (to the end if `last`
+    is None).
     """
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
     below = first + int(np.argmax(gap[first:last])) + 1

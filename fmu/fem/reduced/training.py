@@ -248,7 +248,7 @@ class Training:
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until the errors at `enough` consecutive points are small; return True on success.
 
-        Return False after `_MOST_POINTS` points, when the budget is spent, or if a space is full or none grows.
+        Return False after `_MOST_POINTS` points, if the budget is spent or a space is full, or if no space grows.
         """
         good = visited = 0
         with phase("training") as under_way:

@@ -102,7 +102,7 @@ class ClosePairs:
 
 
 def _root(d: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return E[√d] and h (see the module), given the expectation `d` and the variance `v`; all have one shape."""
+    """Return E[√d] and h (see the module) for expectations `d` and variances `v`, all of the same shape."""
     h = np.sqrt(d**2 + v + _LEAST**2)
     # the second form is for negative d, without cancellation
     square = 0.5 * np.where(d >= 0.0, d + h, (v + _LEAST**2) / (h - np.minimum(d, 0.0)))

@@ -17,9 +17,10 @@ logarithm of zero is infinite, and an extrapolation so far out is meaningless.""
 class Coordinates:
     """Map between theta in a box and scaled coordinates x, applied to each parameter separately.
 
-    The map is x = (g(θ) − centre)/half, where g(θ) is log θ or θ. An eigenvalue is a linear form in the
-    stiffnesses divided by a linear form in the masses (the Rayleigh quotient). Its logarithm is therefore nearly
-    linear in the logarithms of the stiffnesses and masses.
+    The map is x = (g(θ) − c)/w, where g(θ) is log θ or θ, and c and w are the centre and half the width of the
+    interval between the values of g at the two bounds. An eigenvalue is a linear form in the stiffnesses divided
+    by a linear form in the masses (the Rayleigh quotient). Its logarithm is therefore nearly linear in the
+    logarithms of the stiffnesses and masses.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ class Feasibility:
     x : ndarray, shape (N, d)
         Points at which the model was called, in scaled coordinates.
     failed : ndarray of bool, shape (N,)
-        Whether the solve at each point failed; not all may have failed.
+        Whether the solve at each point failed; at least one solve must have succeeded.
     """
 
     def __init__(self, x: FloatArray, failed: BoolArray) -> None:

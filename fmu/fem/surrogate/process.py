@@ -1,7 +1,7 @@
 """Gaussian processes with a linear trend, fitted by scikit-learn.
 
-Predictions are bitwise independent of the batch. With x the `Coordinates` of theta, the prior of a quantity y,
-scaled to zero mean and unit variance, has the covariance
+The prediction at a point is bitwise the same in every batch of points. With x the `Coordinates` of theta, the
+prior of a quantity y, scaled to zero mean and unit variance, has the covariance
 
 k(x, x′) = a (1 + xᵀx′) + c exp(−½ Σ_j (x_j − x′_j)²/ℓ_j²) + s² [x = x′].
 
@@ -177,9 +177,9 @@ class Process:
         return self._trend * own + self._smooth - np.sum(u**2, axis=1)
 
     def _variance(self, scaled: FloatArray) -> FloatArray:
-        """Convert scaled variances (n,), or derivatives (n, 1, d), to units of y², (n, q, …), times `caution`.
+        """Convert scaled variances (n,), or their derivatives (n, 1, d), to units of y², and apply `caution`.
 
-        Variances that are negative by rounding are set to zero.
+        The result has shape (n, q) or (n, q, d). Variances that are negative because of rounding are set to zero.
         """
         if scaled.ndim == 1:
             return self.caution * self.unit**2 * np.maximum(scaled, 0.0)[:, None]
@@ -208,8 +208,8 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
 def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> GaussianProcessRegressor:
     """Fit a scikit-learn regressor to z (N, q) at x (N, d), and return it.
 
-    Unless `search`, `kernel` is used as it is. Otherwise the search starts from `kernel`, if given, and from
-    others.
+    Unless `search`, `kernel` is used as it is. Otherwise the search starts from `kernel`, if given, and from other
+    kernels. Scatter above its minimum is kept only if it raises the log-likelihood by more than `_TELLING`.
     """
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning

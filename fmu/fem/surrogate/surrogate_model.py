@@ -57,8 +57,9 @@ class SurrogateModel(ModalModel):
     """Gaussian processes for the logarithms of a slow model's paired eigenvalues, and for its shapes if needed.
 
     The modes are paired at each design point before the processes are fitted, so that a process follows its mode
-    even where modes cross. If modes are paired by number, close modes are replaced by smooth functions of both
-    (`fmu.fem.surrogate.close_pairs`). Shapes have unit length at the sensors, and the sign of the reference shape.
+    even where modes cross. If modes are paired by number, the eigenvalues of two close modes are replaced by
+    smooth functions of both (`fmu.fem.surrogate.close_pairs`). Before the fit, shapes are scaled to unit length at
+    the sensors, and get the sign of the reference shape.
 
     Parameters
     ----------
@@ -138,9 +139,10 @@ class SurrogateModel(ModalModel):
         return seen.frequencies, seen.frequency_slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return predicted frequencies and, if fitted, shapes, with variances, and derivatives if `gradient`.
+        """Return the predicted frequencies, the shapes if they were fitted, and the variances of both.
 
-        Frequencies are NaN where a solve would probably fail.
+        If `gradient`, the derivatives with respect to theta are included. Frequencies are NaN where a solve would
+        probably fail.
         """
         x = self.coordinates.to_x(theta)
         by_theta = self.coordinates.slope(theta)[:, None] if gradient else None
@@ -233,8 +235,8 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
     """Fit one process to all q quantities y (N, q) at x, or one to each; return the processes in a list.
 
     A few points can determine common length scales, but not separate ones for every quantity. Separate processes
-    are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
-    Without `search`, the choice and the hyper-parameters of `before` are kept, if it is given.
+    are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464). If
+    `search` is False and `before` is given, the choice made for `before` and its hyper-parameters are kept.
     """
     if not search and before is not None:
         if len(before) == 1:

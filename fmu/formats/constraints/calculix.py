@@ -5,8 +5,8 @@ CalculiX eliminates dependent degrees of freedom before it writes its matrices, 
 the global direction with the same number, or in the next one along which the local axis has a component (CalculiX,
 *User's manual*). `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
 
-Supports stay in later steps, unless the first *BOUNDARY of a step has OP=NEW, which removes all earlier ones. On
-other *BOUNDARY keywords, OP=NEW has no effect (*User's manual*, ``*BOUNDARY``).
+Supports remain in effect in later steps, unless the first *BOUNDARY of a step has OP=NEW, which removes all
+earlier supports. On other *BOUNDARY keywords, OP=NEW has no effect (*User's manual*, ``*BOUNDARY``).
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def constraints_of(
     Raises
     ------
     RefusedError, ValueError
-        If a keyword is malformed, names an unknown node or set, does not determine its dependent degrees of
-        freedom, or has too many entries.
+        If a keyword is malformed, names an unknown node, set or surface, does not determine its dependent degrees
+        of freedom, or has no nodes or too many entries.
     """
     axes: dict[int, FloatArray] = {}
     held: set[DofName] = set()
@@ -212,8 +212,8 @@ def _transform(
 ) -> dict[int, FloatArray]:
     """Return the local axes of the nodes of a *TRANSFORM, keyed by node id, as rows of arrays of shape (3, 3).
 
-    The axes are rectangular, or cylindrical if TYPE=C. Raise ValueError unless there are six coordinates, and
-    RefusedError if they do not define three directions, if there is no such node set, or if a node with
+    The axes are rectangular, or cylindrical if TYPE=C. Raise ValueError unless there are six finite coordinates,
+    and RefusedError if they do not define three directions, if there is no such node set, or if a node with
     cylindrical axes does not exist.
     """
     words = [word for row in one.rows() for word in row if word]

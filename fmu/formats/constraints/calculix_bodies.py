@@ -7,7 +7,7 @@ bodies, each in deck order. A body also uses up one number per node, and a coupl
 differ in other decks, such as decks with shells and beams, which CalculiX expands.
 
 *COUPLING with *DISTRIBUTING distributes the loads on a reference node, but this node does not move: masses and
-springs at it have no effect in CalculiX.
+springs at it have no effect in CalculiX. Such a coupling is skipped, with a note.
 """
 
 from __future__ import annotations

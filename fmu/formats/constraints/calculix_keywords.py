@@ -110,7 +110,7 @@ class Constraints:
 
 
 def add_set(found: Constraints, one: Keyword) -> None:
-    """Add the members listed under an NSET or ELSET keyword, without duplicates.
+    """Add the members listed under an NSET or ELSET keyword to that set in `found`, without duplicates.
 
     A set may name earlier sets; unknown names are ignored. Raise ValueError if the numbers under GENERATE are
     missing or not whole, and RefusedError if there are too many members.

@@ -1,7 +1,8 @@
 """Constraints in Nastran bulk data (RBE2, RBE3, RBAR, MPC, MPCADD), and the SPC and MPC sets that are active.
 
-MSC Nastran, *Quick reference guide*. Rigid elements are always active. MPC and SPC entries are active if the case
-control selects their set; in a file that contains only bulk data, all of them are active.
+The entries are described in MSC Nastran, *Quick reference guide*. Rigid elements are always active. MPC and SPC
+entries are active if the case control selects their set; in a file that contains only bulk data, all of them are
+active.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Constraints:
         Total number of fields in all entries.
     notes : list of str
     has_dmap : bool
-        Whether the executive control has DMAP; in Nastran, OUTPUT4 is allowed only there.
+        Whether the executive control has DMAP. Nastran allows OUTPUT4 only in DMAP.
     is_of_mystran : bool
         Whether the executive control has OUTPUT4 without DMAP, as in MYSTRAN. MYSTRAN does not rescale the weights
         of rotations in an RBE3; see `fmu.formats.constraints.rigid`. MYSTRAN 18.0 and Nastran give different
@@ -75,7 +76,7 @@ class Constraints:
         """Store an entry of the bulk data, case control or executive control that concerns constraints.
 
         Other entries are ignored. Raise RefusedError if the constraints have more than `MOST_FIELDS` fields in
-        all. Raise RefusedError or ValueError if the id of an MPC, MPCADD or SPCADD is malformed.
+        all. Raise RefusedError or ValueError if the set ids in an MPC, MPCADD or SPCADD are malformed.
         """
         if name in ENTRIES:
             self.n_fields += len(fields)
@@ -209,8 +210,8 @@ def _rbe3(
 def _groups(words: list[str], source: str) -> tuple[Followed, list[tuple[int, list[int]]]]:
     """Return an RBE3's groups of followed points, and its dependent nodes and components.
 
-    The dependent nodes are listed after UM, so there are none without UM. Groups without nodes are left out. Raise
-    ValueError if no group has nodes, or the entry is malformed.
+    The dependent nodes are listed after the word UM; without this word, the second list is empty. Groups without
+    nodes are left out. Raise ValueError if no group has nodes, or the entry is malformed.
     """
     groups: Followed = []
     dependents: list[tuple[int, list[int]]] = []

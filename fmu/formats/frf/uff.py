@@ -1,9 +1,10 @@
 """Reader for frequency response functions in universal files: dataset 58, "Function at Nodal DOF".
 
-The datasets are read by pyuff: text or binary, even or uneven spacing, single or double precision (University of
-Cincinnati, *Universal File Formats for Modal Analysis Testing*). Function type 4 is an FRF, type 6 a coherence.
-The data types of the ordinate and its denominator determine the kind of FRF, and dataset 164 gives the units.
-Directions are along the axes of the node's displacement coordinate system (datasets 15 or 2411, with 18 or 2420).
+pyuff reads the datasets, which may be text or binary, in single or double precision, with even or uneven spacing
+(University of Cincinnati, *Universal File Formats for Modal Analysis Testing*). A function of type 4 is an FRF,
+and one of type 6 is a coherence. The data types of the ordinate and its denominator determine the kind of FRF, and
+dataset 164 gives the units. Directions are along the axes of the node's displacement coordinate system (datasets
+15 or 2411, with 18 or 2420).
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     FileNotFoundError, ImportError
         If the file does not exist, or pyuff is not installed.
     ModesError
-        If the file cannot be read; if it has no FRFs, or FRFs with different lines, kinds or units; if the
-        requested FRFs are missing; if an FRF has no direction along a global axis and its points are not given; or
-        if the number of given points is wrong.
+        If the file cannot be read; if it has no FRFs, or FRFs with different lines, kinds or units; if an FRF is
+        neither a motion per force nor a force per displacement; if the requested FRFs are missing; if an FRF has
+        no direction along a global axis and its points are not given; or if the number of given points is wrong.
     """
     kinds = (FUNCTIONS, UNITS, *SYSTEMS, *NODES)
     sets = read_datasets(checked_file(path, LARGEST_FILE), kinds, "FRFs", _wrong)

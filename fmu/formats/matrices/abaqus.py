@@ -18,7 +18,7 @@ The following keyword, in any step, writes a set's element matrices to ``left.mt
 fmu reads their sum, which is the stiffness or mass of one property group without supports and constraints. For
 each element, comments list its nodes, and ``*USER ELEMENT`` gives the degrees of freedom of its first node.
 Further lines give a node's position in the list and the degrees of freedom from that node on. The lower triangle
-of each matrix follows, row by row. Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER
+of each matrix follows, row by row. See Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER
 ELEMENT``, ``*MATRIX``.
 """
 
@@ -128,8 +128,9 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     ValueError
         If an element has a wrong number of nodes or entries, or directions other than 1 to 6.
     RefusedError
-        If there is no matrix with this name, both are there and `variable` is None, an element occurs twice or has
-        an unsymmetric matrix or one of another type, or there are too many entries or rows.
+        If there is no matrix with this name; if the file contains both and `variable` is None; if an element
+        occurs twice, or has a matrix that is unsymmetric or neither stiffness nor mass; or if there are too many
+        entries or rows.
     """
     places, entries, n, held = list[IntArray](), list[FloatArray](), 0, 0
     kinds, seen, index = dict[str, None](), set[tuple[str, str]](), dict[int, int]()

@@ -1,7 +1,7 @@
 """Reader for sparse matrices in Harwell–Boeing files, which Ansys writes with ``HBMAT`` in ``/AUX2``.
 
-I. S. Duff, R. G. Grimes, J. G. Lewis (1992), *User's guide for the Harwell–Boeing sparse matrix collection*.
-SciPy's reader accepts only unsymmetric matrices without right-hand sides.
+The format is described by I. S. Duff, R. G. Grimes, J. G. Lewis (1992), *User's guide for the Harwell–Boeing
+sparse matrix collection*. SciPy's reader accepts only unsymmetric matrices without right-hand sides.
 """
 
 from __future__ import annotations

@@ -188,7 +188,8 @@ def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = N
     """Build a sparse matrix from a table (n, 3) with columns row, column (both counted from 1) and entry.
 
     Duplicate entries are added, as in MATLAB's ``sparse``. If only one triangle has entries, the matrix is treated
-    as symmetric (`Labelled.fill`).
+    as symmetric (`Labelled.fill`). `size` gives the numbers of rows and columns. By default, the matrix is square,
+    and the largest row or column number is its size.
 
     Raises
     ------

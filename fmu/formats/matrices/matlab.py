@@ -1,7 +1,7 @@
 """Reader for full and sparse numeric matrices in MATLAB files of versions 5 to 7 (version 7.3 is HDF5).
 
-MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files. This reader reads
-only numeric matrices, and raises an error if a file is cut short.
+The format is described in MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken
+files. This reader reads only numeric matrices, and raises an error if a file is cut short.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
 
     Raises
     ------
-    ValueError
+    ValueError, zlib.error
         If the content is broken.
     RefusedError
         If there is no such matrix, there are several and `variable` is None, or the matrix is complex or too
@@ -212,7 +212,7 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
 def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
     """Yield the type and bytes of each part of a matrix.
 
-    If the last part is truncated, skip it with `cut`; otherwise raise ValueError.
+    A truncated last part is skipped if `cut` is True; otherwise it raises ValueError.
     """
     at = 0
     while at + 8 <= len(body):

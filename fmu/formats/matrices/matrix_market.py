@@ -1,7 +1,7 @@
 """Reader for Matrix Market files, a text format that most programs can write.
 
-R. F. Boisvert, R. Pozo, K. A. Remington (1996), *The Matrix Market exchange formats: initial design*, NISTIR 5935.
-SciPy's reader crashes the process on some broken files; this reader raises an error.
+The format is described by R. F. Boisvert, R. Pozo, K. A. Remington (1996), *The Matrix Market exchange formats:
+initial design*, NISTIR 5935. SciPy's reader crashes the process on some broken files; this reader raises an error.
 """
 
 from __future__ import annotations

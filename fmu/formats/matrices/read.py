@@ -8,7 +8,7 @@
 ``.hb``, ``.rsa`` …    Harwell–Boeing, which Ansys writes with ``HBMAT`` (`fmu.formats.matrices.harwell_boeing`)
 ``.csv``               numbers separated by commas
 ``.full``              Ansys, with row names (`fmu.formats.matrices.ansys`)
-``.op4``               Nastran, binary or text (`fmu.formats.matrices.nastran.op4`)
+``.op4``, ``.ou1`` …   Nastran and MYSTRAN, binary or text (`fmu.formats.matrices.nastran.op4`)
 ``.pch``, ``.dmig``,   Nastran's DMIG entries, with row names; also in the bulk data, ``.bdf``,
 ``.bdf`` …             ``.dat`` or ``.nas`` (`fmu.formats.matrices.nastran.dmig`)
 ``.sti``, ``.mas``     CalculiX, with row names in the ``.dof`` file (`fmu.formats.matrices.calculix`)
@@ -20,7 +20,8 @@ note says so.
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. fmu has its own readers where
 SciPy's readers crash the process on broken files (``.mat``, ``.mtx``). The library that reads Ansys files also
-crashes on broken files, so it runs in a separate process. pyNastran needs an older NumPy than this package.
+crashes on broken files, so it runs in a separate process. pyNastran is not used, because it needs an older NumPy
+than this package.
 
 A stiffness that is linear in a property p, such as Young's modulus, needs two exports. With K at p = a and p = b,
 K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) − a K₁.

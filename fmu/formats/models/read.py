@@ -7,6 +7,7 @@ CalculiX        ``job.sti``, with ``job.mas`` and ``job.dof`` beside it      ``j
 Abaqus          ``job_STIF1.mtx`` and ``job_MASS1.mtx``                      ``job.inp``
 Ansys           ``file.full``                                                ``.cdb`` or ``.rst``
 Nastran         OP4, ``.op4``; DMIG in ``.pch`` or the bulk data             ``.bdf``, ``.dat``, ``.nas``
+MYSTRAN         OP4, ``.OU1`` to ``.OU7``                                    ``.bdf``, ``.dat``, ``.nas``
 MATLAB          K and M in a ``.mat`` or ``.m`` file, or in two files
 any other       two files for `fmu.formats.matrices.read`, and row names
 ==============  ===========================================================  =======================
@@ -72,9 +73,9 @@ def read_model(
         Names of the stiffness and mass matrices in files with several matrices. If one file has both, they default
         to ``K…`` and ``M…`` with the same ending, or ``stiffness`` and ``mass``.
     tied_modes : path, optional
-        ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U). They give the
-        displacements of the nodes that have no rows because of ``*TIE``, so that sensors can be placed there.
-        Requires `mesh`.
+        ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U, and with
+        ``GLOBAL=YES`` if the deck has ``*TRANSFORM``). They give the displacements of the nodes that have no rows
+        because of ``*TIE``, so that sensors can be placed there. Requires `mesh`.
 
     Returns
     -------

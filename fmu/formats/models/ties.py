@@ -1,8 +1,8 @@
-"""Displacements of tied nodes (``*TIE``), for which CalculiX's matrices have no rows, from those of a face.
+"""Displacements of nodes that ``*TIE`` ties to a face, expressed by the displacements of the face's nodes.
 
-CalculiX does not write the tie equations, but it prints the modes at tied nodes too. A node that moves but has no
-row is therefore projected onto the nearest faces. If the shape functions at the projection reproduce the printed
-displacements, they are the weights of the face's nodes.
+CalculiX's matrices have no rows for tied nodes. CalculiX does not write the tie equations either, but it prints
+the modes at tied nodes too. A node that moves but has no row is therefore projected onto the nearest faces. If the
+shape functions at the projection reproduce the printed displacements, they are the weights of the face's nodes.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def tied_motions(
     Raises
     ------
     ValueError
-        If no printed node moves without having rows.
+        If no node is tied: every printed node that moves has rows in the matrices.
     """
     with_rows = {node for node, _ in dofs}
     row_of = {node: i for i, node in enumerate(mesh.nodes.tolist())}

@@ -1,33 +1,35 @@
 """Readers for modes and points in text tables, as exported from spreadsheets.
 
-Frequencies in Hz, one row per mode; ``number`` (in the spectrum of the model), ``sd`` in Hz and ``use`` (true or
-false: whether the mode is used in updating) may be omitted::
+A table of frequencies has one row per mode, with the frequency in Hz. The columns ``number`` (in the spectrum of
+the model), ``sd`` in Hz and ``use`` (true or false: whether the mode is used in updating) may be omitted::
 
     mode,number,frequency,sd,use
     first bending,1,31.9,0.1,true
     second bending,3,197.9,0.4,false
 
-Shapes, one row per sensor and one column per mode::
+A table of shapes has one row per sensor and one column per mode::
 
     place,direction,first bending,second bending
     tip,z,1.0,1.0
     12,-z,0.34,-0.71
 
-Frequencies in Hz from repeated tests in chronological order, one row per test and one column per mode. The column
-``test``, a number or a time, may be omitted. A cell is empty or ``nan`` if the test missed the mode::
+A table of repeated tests has one row per test, in chronological order, and one column per mode, with frequencies
+in Hz. The column ``test``, a number or a time, may be omitted. A cell is empty or ``nan`` if the test missed the
+mode::
 
     test,first bending,second bending
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
-Frequencies in Hz from a campaign, one row per test: its name, its group (may be omitted), and one column per mode
-and per covariate, such as the temperature. A cell is empty or ``nan`` if the test missed the mode::
+A table of a campaign has one row per test. Its columns are the test's name, its group (may be omitted), the
+frequency of each mode in Hz, and covariates, such as the temperature. A frequency is empty or ``nan`` if the test
+missed the mode::
 
     name,group,temperature,first bending,second bending
     2024-03-04,before,4.5,31.9,197.9
     2024-07-12,after,21.0,31.8,
 
-Coordinates of measurement points, one row per point, in any unit of length::
+A table of measurement points has one row per point, with coordinates in any unit of length::
 
     point,x,y,z
     tip,2.0,0.0,0.1
@@ -208,7 +210,9 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str] | None = None) -> Campaign:
-    """Read a table of tests from a campaign. The names may also be in a column ``test``.
+    """Read a table of tests from a campaign.
+
+    If the table has no column ``name``, the names are read from a column ``test``.
 
     Parameters
     ----------

@@ -87,7 +87,8 @@ class MeasuredModes:
 
 
 Computed = tuple[FloatArray, FloatArray | None]
-"""Frequencies (n,) in Hz, including modes at 0 Hz, and shapes (n_sensors, n), or None without sensors."""
+"""Frequencies (n,) in Hz, including modes at 0 Hz, and shapes (n_sensors, n). The shapes are None if there are no
+sensors."""
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def read_uff(
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file cannot be read, has no modes, a mode twice or not the given modes, nodes or sensors; if a
+        If the file cannot be read, has no modes, has a mode twice, or lacks a given mode, node or sensor; if a
         frequency is not above 0 Hz; or if a shape is zero, or its phase collinearity is below `least_mpc`.
     """
     mode_sets = datasets(checked_file(file))
@@ -155,7 +155,7 @@ def write_uff(
     places : mapping of place to array_like, shape (3,), optional
         Coordinates in m, written as dataset 2411.
     elements : sequence of (CellType, corner node numbers), optional
-        Written as dataset 2412; see `fmu.formats.modes.vtu.cells`.
+        Written as dataset 2412, but pyramids are skipped; see `fmu.formats.modes.vtu.cells`.
 
     Raises
     ------

@@ -31,7 +31,10 @@ def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.D
 
 
 def moments_table(parameters: pd.DataFrame, names: Mapping[str, str]) -> str:
-    """Return the table from `moments` as text for a page, in customary units; `names` are the runs in words."""
+    """Return the table from `moments` as text for a page, in customary units.
+
+    `names` maps each run to the title of its column.
+    """
     rows = []
     for parameter, row in rows_of(parameters):
         unit = customary_unit(row["unit"])

@@ -82,9 +82,10 @@ class WrongModel:
     ) -> WrongModel:
         """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
-        With several tests, which have many modes, the draws are reweighted instead of repeating the update. If the
-        tests have populations, the scores of the mode's test are integrated out. Raise ValueError unless each
-        trace has two or more measured modes.
+        For a single test, the update is repeated without each mode. Several tests have many modes, so their draws
+        are reweighted instead. If parameters have populations over the tests, the weights are integrated over the
+        scores of the mode's test (`fmu.analysis.held_out.without_scores`). Raise ValueError unless each trace has
+        two or more measured modes.
         """
         known = {
             model: with_left_out(

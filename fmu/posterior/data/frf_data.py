@@ -62,7 +62,7 @@ class FRFData:
         parts are |H| √((1 − γ²)/(2 γ² n)) with n = `averages` (Bendat & Piersol 2010, *Random Data*, 4th ed.,
         section 9.2.4). Values with a coherence of 0, 1 or NaN are then not used.
     averages : float, optional
-        Number n of independent averages behind the coherence.
+        Number n of independent averages behind the coherence; it must be greater than 1.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
         The lines to use in updating. Defaults to all lines. The other lines validate the updated model.
     band : (float, float), optional
@@ -162,7 +162,7 @@ class FRFData:
         values : array_like of complex, shape (n_hits, n_frfs, n_lines)
             The FRFs of each hit; NaN or 0 where a hit failed. Values from fewer than two hits are not used.
         drives, responses, kind
-            The class attributes with these names.
+            The class attributes with these names. Dynamic stiffnesses are inverted before they are averaged.
         **options
             The class attributes ``use``, ``band`` and ``notes``.
 

@@ -49,8 +49,8 @@ def read_frf(
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}, optional
         Needed if the file does not state it; otherwise it must agree with the file.
     drives, responses : tuple of (place, direction), optional
-        Points of all FRFs in the file, in file order; needed if the file does not name them. With `frfs` or
-        `nodes` too, those of the FRFs that are not read are ignored.
+        Points of all FRFs in the file, in file order; needed if the file does not name them. If `frfs` or `nodes`
+        is also given, the points of FRFs that are not read are ignored.
     nodes : mapping of node number to place, optional
         For universal files: maps node numbers in the file to model nodes or their names; FRFs at other nodes are
         skipped. By default, the model's nodes have the same numbers as the nodes in the file.
@@ -75,10 +75,11 @@ def read_frf(
     Raises
     ------
     ValueError
-        If the file has no such FRFs, a kind or points are missing, the kind contradicts the file, or `fmu.FRFData`
-        rejects the data.
+        If the ending of the file name is unknown, the file is broken or has no such FRFs, a kind or points are
+        missing, the kind contradicts the file, `nodes` or `variables` does not apply to the format, or
+        `fmu.FRFData` rejects the data.
     FileNotFoundError, ImportError
-        If the file does not exist, or its format needs pyuff or h5py and the package is not installed.
+        If the file does not exist, or it is a universal file and the package pyuff is not installed.
     """
     found = read_frfs(Path(path), Wanted(drives, responses, nodes, variables or {}, frfs))
     if kind is not None and found.kind not in (None, kind):

@@ -101,8 +101,8 @@ class RepeatedTests:
     ------
     ValueError
         If a frequency is not positive and finite (or NaN), a mode has too few values, a mode's values do not
-        scatter (if pooled: no mode's values do), the tests are too few for a joint scatter or missed a mode, the
-        shape is wrong, or `scatter` is unknown.
+        scatter (if pooled: no mode's values do; if joint: not checked), the tests are too few for a joint scatter
+        or missed a mode, the shape is wrong, or `scatter` is unknown.
 
     Notes
     -----
@@ -168,7 +168,7 @@ class RepeatedTests:
         A single test's standard deviation, estimated from n tests, is integrated out with the prior ∝ 1/s. The
         differences are then s_i times Student's t with ν_i degrees of freedom. For very few tests, the predictive
         interval from a model that can fit the mean is a little too wide, because the Gaussian in `mean` is widened
-        too. A 90 % interval then covers 93 % for two tests, 92 % for three, and 90 % for five or more. If the
+        too. A 90 % interval then covers 92 % for two tests, 91 % for three, and 90 % for five or more. If the
         scatter is "joint", the differences have the multivariate t distribution with n − n_modes degrees of
         freedom and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
         """

@@ -63,13 +63,15 @@ def by_parameters(
 ) -> FloatArray:
     """Return the derivatives of m functions with respect to the parameters of their own tests, shape (n, m, p).
 
-    They are central differences. Each parameter is perturbed in all tests at once, which takes 2 p points for each
-    of the n. Near a limit, both points are shifted to lie within it.
+    They are central differences. Each parameter is perturbed in all tests at once, so that each of the n rows of
+    `values` requires 2 p evaluations. Near a limit, both points are shifted to lie within it. The derivative is 0
+    if the limits leave no room for a step.
 
     Parameters
     ----------
     function : callable
-        Returns the functions, (n, k, m), at values (n, k, n_tests, p): k points for each of the n.
+        Returns the m functions, (n, k, m), at k points for each row of `values`, (n, k, n_tests, p). It is called
+        once, with k = 2 p.
     values : ndarray, shape (n, n_tests, p)
         The structural parameters in every test.
     scale : ndarray, shape (n, n_tests, p)

@@ -67,11 +67,12 @@ class Discrepancy:
     ----------
     kind : {"embedded", "modes"}
     tau : float, optional
-        For "embedded". The scatter τ, relative to the value of a parameter that is never 0 between its bounds. For
-        other parameters its unit is the starting point's absolute value, or the prior's scale if the parameter
-        starts at 0. It is inferred if not given.
+        For "embedded". The scatter τ; inferred if not given. It is relative to the value of the parameter if this
+        value cannot be 0 within the bounds. Otherwise it is relative to the absolute starting value or, if the
+        parameter starts at 0, to the scale of its prior.
     prior_sd : float
-        Standard deviation of the half-normal priors of inferred τ, `sd` and `shape_sd`.
+        Scale of the half-normal priors of inferred τ, `sd` and `shape_sd`: the standard deviation of the whole
+        Gaussian.
     by : {"common", "group"}
         For "embedded". Whether all parameters have the same τ, or each group has its own. A parameter without a
         group counts as its own group.
@@ -102,7 +103,7 @@ class Discrepancy:
     Notes
     -----
     The variances are exact to first order in τ; at τ = 0.3 and more they are rough. If the parameters outnumber
-    the data, the data do not determine τ, whose posterior then equals its prior.
+    the data, the data hardly determine τ, and its posterior stays close to its prior.
     """
 
     kind: Literal["embedded", "modes"] = "embedded"

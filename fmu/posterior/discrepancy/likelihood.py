@@ -127,10 +127,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._with_quantities(terms + shared, theta)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood terms, and the derivatives of their sum through each term, (n, n_terms, ndim).
+        """Return the log-likelihood terms, (n, n_terms), and each term's part of the gradient, (n, n_terms, ndim).
 
-        The row of a mode contains the derivatives through its prediction in its test. It is the gradient of the
-        mode's term unless terms are coupled (`couples_modes`).
+        The parts add up to the gradient of the sum of the terms. A mode's part contains the derivatives through
+        its prediction. It is the gradient of the mode's own term unless terms are coupled (`couples_modes`).
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
@@ -243,7 +243,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies, Hz, plus a random discrepancy; see `Likelihood`. ValueError if theta is None."""
+        """Return frequencies, Hz, plus random discrepancies (`Likelihood`); raise ValueError if theta is None."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -318,7 +318,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         latent: LatentErrors,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and derivatives as in `terms_and_gradient`; with a `chain`, by all parameters."""
+        """Return terms and slopes as in `terms_and_gradient` or, with a `chain`, for all tests' parameters."""
         of_errors = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         terms, slopes = self._terms_and_gradient(of_errors, theta, chain)
         m, N = len(self._used), slopes.shape[-1] - len(self.noise)

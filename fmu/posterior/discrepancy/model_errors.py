@@ -233,7 +233,10 @@ class ModelErrors:
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
     def units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals due to unit errors: own ones (n, m, k, E + Q), common ones (n, m, k, F + C)."""
+        """Return the residuals that errors of unit size cause.
+
+        The shapes are (n, m, k, E + Q) for a mode's own errors, and (n, m, k, F + C) for the common errors.
+        """
         if not len(self.scattered):
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
@@ -246,9 +249,9 @@ class ModelErrors:
         """Return the Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
 
         It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, F are the loadings, and Cov is the
-        covariance of the latent errors given the residuals. Measurement sds are counted in each row alone, a
-        mode's own errors in each mode alone. A residual of a shape at q sensors has the weight (q − 1)/q, because
-        the shape's scale is free. `take` selects the rows of `latent`.
+        covariance of the latent errors given the residuals. Terms that link the measurement sds of two rows, or
+        the own errors of two modes, are neglected. A residual of a shape at q sensors has the weight (q − 1)/q,
+        because the shape's scale is free. `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
         _, _, of_z, of_both, _ = latent.given_residuals()

@@ -137,9 +137,9 @@ class ModeErrors:
     def _of_shapes(
         self, term: ShapeTerm, seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the matrices C and the scaled shapes ψ and 1/σ defined in `change_of_units`.
+        """Return the matrices C, the scaled mode shapes ψ, and 1/σ, as defined in `change_of_units`.
 
-        The shapes are (n, n_modes, q, q) for C, and (n, n_modes, q) for the others.
+        The arrays have the shapes (n, n_modes, q, q) for C, and (n, n_modes, q) for ψ and 1/σ.
         """
         root = np.swapaxes(1.0 / np.sqrt(term.spread.variance(noise)), 1, 2)
         largest = np.max(np.abs(term.unit), axis=0)[:, None, None]

@@ -210,7 +210,7 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each frequency's mean and sd (of t: see `gaussian_sd`) given the others, (n, n_modes), Hz."""
+        """Return each frequency's mean and sd given the others, (n, n_modes), Hz; t errors use `gaussian_sd`."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:

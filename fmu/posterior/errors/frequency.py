@@ -276,7 +276,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     log P(D|θ) = Σ_i (−½ log 2π − log L_ii − ½ z_i²).
 
     Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m: the information that mode i adds to the modes
-    before it. The single terms depend on the mode order, their sum does not. `project` turns frequencies into z.
+    before it. Each term depends on the mode order, but their sum does not. `project` turns frequencies into z.
 
     Parameters
     ----------

@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the modes, differentiated by the parameters of their test or, with a `chain`, of all tests."""
+        """Return the modes, with derivatives for the parameters of their test or, with a `chain`, of all tests."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

@@ -32,7 +32,8 @@ class MACErrors:
     """Half-Gaussian errors ε = 1 − MAC at the sensors.
 
     The density is normalised for ε on [0, 1]. It is a convention in the field rather than a model of measurement
-    noise. Noise with the standard deviation σ at q sensors gives 1 − MAC ≈ (q − 1) σ², which `ShapeErrors` models.
+    noise. If the components of a unit-length shape at q sensors have noise with the standard deviation σ, 1 − MAC
+    is (q − 1) σ² on average, to first order in σ². `ShapeErrors` models such noise.
 
     Attributes
     ----------

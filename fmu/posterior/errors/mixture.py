@@ -196,7 +196,10 @@ class MixtureLikelihood(ModalLikelihood):
 
 
 def _best(score: FloatArray) -> IntArray:
-    """Return the index (n, m) of each measured mode's candidate with the highest `score` (n, k, m); NaN is −∞."""
+    """Return the index (n, m) of each measured mode's candidate with the highest `score` (n, k, m).
+
+    NaN counts as −∞.
+    """
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 

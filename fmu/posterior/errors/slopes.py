@@ -56,9 +56,10 @@ def residuals_of_term(
 ) -> tuple[FloatArray, FloatArray]:
     """Return an error model's residuals, (n, n_modes, q), and their derivatives.
 
-    The derivatives are with respect to the model's parameters, (n, n_modes, q, n_structural). If `within` is True,
-    they are the derivatives of `ErrorTerm.residuals_within`. The inferred standard deviations `noise`, (n,
-    n_noise), stay fixed. If the model is uncertain, its variances increase the errors' standard deviations.
+    The derivatives are with respect to the model's parameters, (n, n_modes, q, n_structural), or the number 0 if
+    the prediction has no derivatives. If `within` is True, they are the derivatives of
+    `ErrorTerm.residuals_within`. The inferred standard deviations `noise`, (n, n_noise), stay fixed. If the model
+    is uncertain, its variances increase the errors' standard deviations.
     """
     view = term.project(seen)
     r = term.residuals_within(view, noise) if within else term.residuals(view, noise)

@@ -1,6 +1,6 @@
 """Structural damping models: modal ratios, Rayleigh damping, loss factors, dashpots, damping matrices.
 
-Each of their values is known or inferred.
+Each ratio, loss factor or coefficient is known or inferred.
 """
 
 from __future__ import annotations

@@ -38,12 +38,12 @@ class FRFErrors(QuantityErrors):
     relative model error.
 
     If s was estimated from few hits or averages, the error at a single line has Student's t distribution with ν
-    degrees of freedom (`FRFData.freedom`). But if many lines determine a parameter together, the curvature of this
-    log-density exceeds the variance of its slope. Intervals would be too narrow, by 11 % for five hits. The
-    density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom and the
-    squared scale V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
-    1208–1211), and its slope is proportional to the slope of Student's t with ν. From ν = 500 on, the density
-    is Gaussian.
+    degrees of freedom (`FRFData.freedom`). But if many lines determine a parameter together, the slope of this
+    log-density has a larger variance than its curvature implies. Intervals would be too narrow, by 11 % for five
+    hits. The density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom
+    and the squared scale V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math.
+    Statist.* 31, 1208–1211), and its slope is proportional to the slope of Student's t with ν. From ν = 500 on,
+    the density is Gaussian.
 
     Attributes
     ----------
@@ -72,8 +72,9 @@ class FRFErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If a named channel has no FRF, the standard deviations were estimated from at most two hits or averages,
-        or an inferred `model_sd` has a negative lower bound.
+        If a known `model_sd`, `gain_sd` or `delay_sd` is negative or not finite, a named channel has no FRF, the
+        standard deviations were estimated from at most two hits or averages, or an inferred `model_sd` has a
+        negative lower bound.
     """
 
     data: FRFData

@@ -93,8 +93,8 @@ class FRFLikelihood(Likelihood):
 
     Notes
     -----
-    In `noise`, the parameters inferred only for the FRFs follow the mode error sds. Everything else is as in the
-    likelihood of the modes.
+    In `noise`, and thus in theta, the parameters that are inferred only for the FRFs follow the inferred
+    parameters of the errors in modes.
     """
 
     of_modes = True

@@ -30,7 +30,8 @@ class Misfit(NamedTuple):
 class Gains(NamedTuple):
     """Gain errors that are integrated out, at n parameter vectors.
 
-    As a function of a gain's relative error γ, the density of the data is its maximum times exp(−½ A (γ − γ̂)²).
+    As a function of a gain's relative error γ, the joint density of the data and γ is proportional to
+    exp(−½ A (γ − γ̂)²).
 
     Attributes
     ----------

@@ -166,7 +166,7 @@ class FRFTerm:
         return total
 
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
-        """Return the sds (Student's t: scales) of errors in H or log H, (n, n_frfs, n_lines), for given FRFs."""
+        """Return the sds (scales for Student's t) of errors in H or log H, (n, n_frfs, n_lines), at given FRFs."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 

@@ -93,10 +93,10 @@ def find_configurations(
 ) -> tuple[list[Configuration], Any]:
     """Return the configurations as a list, each with its trained model, and the reduced models' tolerance.
 
-    The tolerance is the one of the last configuration, or None if its model is not reduced. The first `of_model`
-    structural parameters are parameters of the model. Raise TestsError if a test has changes or known values and
-    the model has no matrices, if they do not fit the model, if tests in one configuration contradict each other,
-    or if the tests do not have the modes of a model that pairs its modes itself; raise ValueError as
+    The returned tolerance belongs to the last configuration; it is None if that model is not reduced. The first
+    `of_model` structural parameters are parameters of the model. Raise TestsError if a test has changes or known
+    values and the model has no matrices, if they do not fit the model, if tests in one configuration contradict
+    each other, or if the tests do not have the modes of a model that pairs its modes itself. Raise ValueError as
     `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]

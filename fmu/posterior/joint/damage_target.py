@@ -52,7 +52,7 @@ class DamageTarget:
         Raises
         ------
         ValueError
-            If there is no name, a parameter of that name cannot have a loss, a name occurs twice, or a prior is
+            If no name is given, no parameter with a given name can have a loss, a name occurs twice, or a prior is
             given for a problem with several tests or has no probability between −0.5 and 0.95.
         """
         several = len(problem.tests) > 1

@@ -80,9 +80,9 @@ def JointProblem(  # capitalised because it constructs a problem
         `UndatedDamage`: the loss begins at an unknown date.
     slopes : mapping of str to mapping of str to Prior, Polynomial, PiecewiseLinear or str
         How a parameter depends on covariates x_k, keyed by parameter name and covariate name. The value in a test
-        is multiplied by 1 + Σ_k g_k(x_k). A `Prior` belongs to the relative slope b in g(x) = b (x − x₀), where
-        x₀ is the covariate's mean over the tests. `Polynomial` and `PiecewiseLinear` are other laws. Another
-        parameter's name gives both parameters the same law with the same slopes.
+        is multiplied by 1 + Σ_k g_k(x_k). A `Prior` is the prior of the relative slope b in g(x) = b (x − x₀),
+        where x₀ is the covariate's mean over the tests. `Polynomial` and `PiecewiseLinear` are other laws. The
+        name of another parameter gives both parameters the same law with the same slopes.
     reference : str, optional
         The group of tests that losses refer to. Default: the group of the first test.
     correlation : float, optional
@@ -90,8 +90,8 @@ def JointProblem(  # capitalised because it constructs a problem
         (`fmu.posterior.joint.correlation`). 1 is a flat prior; larger values favour smaller correlations. By
         default the populations are independent.
     outliers : Outliers, optional
-        Allows tests to be outliers of the populations. The posterior sums over all possibilities; the trace has
-        each test's outlier probability. By default no test is an outlier.
+        Allows tests to be outliers of the populations. The posterior sums over all possibilities; the trace
+        contains each test's outlier probability. By default no test is an outlier.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Model discrepancy. It is the same in all tests: a mode of the structure, identified by its label, has the
         same discrepancy parameters in every test.

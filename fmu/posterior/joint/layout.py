@@ -127,7 +127,7 @@ class Layout:
     def losses(self, theta: FloatArray) -> FloatArray:
         """Return the losses 1 − θ/θ_reference for the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        Trends and scatter are left out. If all tests of a group know a parameter, the value in the first is used.
+        Trends and scatter are left out. If a parameter is known in a whole group, its first test's value is used.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def losses_by_test(self, theta: FloatArray) -> FloatArray:
-        """Return the losses of the parameters in `by_date` (not empty) in each test, (n, n_tests, n_by_date)."""
+        """Return the losses in each test, (n, n_tests, n_by_date), of the parameters in `by_date` (not empty)."""
         of = [
             value_of.losses(theta, 0)
             for parameter, value_of in zip(self.structural, self.values_of, strict=True)
@@ -245,7 +245,7 @@ class Layout:
         like : int
             Index of an existing test. The further test belongs to the same group.
         covariates : mapping of str to float
-            Values of the covariates. A covariate without an entry is set to its mean over the tests.
+            By default, each is its mean over the tests, and the time of an undated loss is the last test's time.
         """
         future = Future(rng, {one.centre: z for one, z in zip(self.drawn, scores.T, strict=True)}, covariates)
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)

@@ -156,8 +156,9 @@ class ModelInTests(ModalModel):
     def seconds_at(self, theta: FloatArray) -> float | None:
         """Return the time in s that all calls of users' functions take at theta (n_parameters,).
 
-        Return None if no functions are called. In each configuration, the first solved test is timed and stands
-        for the others. The function is called there unless its solve is known.
+        Return None if no functions are called. In each configuration, only the first solved test is timed, and the
+        other tests are assumed to take as long. The function is called for this test unless its result is already
+        stored.
         """
         found = []
         for part in self.configurations:

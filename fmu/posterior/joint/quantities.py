@@ -27,7 +27,7 @@ class Errors(NamedTuple):
 
     Attributes
     ----------
-    of_modes : str or sequence of ErrorModel
+    of_modes : str, ErrorModel or sequence of ErrorModel
         Error models for the modes of all tests; ``"frequency"`` if none is given.
     of_quantities : mapping of int to QuantityErrors
         Error models for masses, displacements and FRFs, keyed by their index in the argument `error`.

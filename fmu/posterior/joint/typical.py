@@ -32,11 +32,11 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
 
     The maximum of a hierarchical posterior density is not meaningful: it depends on the coordinates, and lies
     where the populations are far too wide or too narrow. At the typical point, the populations' means, standard
-    deviations and correlations approximately maximise the posterior after each test's own values are integrated
-    out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39,
-    1–38). All other parameters have their most probable values given these, but correlation times and the share of
-    outliers keep their starting values. A model discrepancy is left out, and its standard deviations keep their
-    starting values, too.
+    deviations (within groups) and correlations approximately maximise the likelihood after each test's own values
+    are integrated out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat.
+    Soc. B* 39, 1–38). Of the priors of these parameters, only the bounds are used. All other parameters have their
+    most probable values given these, but correlation times and the share of outliers keep their starting values.
+    A model discrepancy is left out, and its standard deviations keep their starting values, too.
 
     Parameters
     ----------
@@ -58,7 +58,8 @@ def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
     """Return an approximation of −∇² log P at a point u (ndim,) in scaled coordinates, shape (ndim, ndim).
 
     It is the Gauss–Newton Hessian, except that rows and columns for the parameters of the populations and of the
-    score density (`Layout.scales`) are finite differences of the gradient.
+    score density (`Layout.scales`) are finite differences of the gradient. If such a parameter is at a bound, its
+    row and column are NaN.
     """
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]
@@ -144,10 +145,11 @@ def _weights(layout: Layout, theta: FloatArray) -> FloatArray:
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
-    """Set the populations' correlations in `theta` to the most probable ones, given the scores' second moments.
+    """Set the populations' partial correlations in `theta` to estimates from the scores' second moments.
 
-    The moments include the scores' variances, which are in `variance` (ndim,). Only tests with a score in every
-    population are used. If there are fewer than two of them, `theta` is not changed.
+    The moments include the scores' variances, which are in `variance` (ndim,). The estimates do not use the prior
+    of the correlations, and are clipped to ±0.95. Only tests with a score in every population are used. If there
+    are fewer than two of them, `theta` is not changed.
     """
     correlation: Any = layout.correlation
     found = [one.population_scores(theta[None]) for one in layout.drawn]
@@ -164,10 +166,11 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 def _most_probable(
     problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray, of_tests: FloatArray
 ) -> float:
-    """Set a population's centre and widths in `theta` to the most probable ones, given the values in the tests.
+    """Set a population's centre and widths in `theta` to the most likely ones, given the values in the tests.
 
-    The scores in `theta` are changed so that the values stay the same. `of_tests`, shape (n_tests,), weights the
-    tests. Return the largest change of the centre or a width, relative to the new width.
+    Of the priors of the centre and the widths, only the bounds are used. The scores in `theta` are changed so that
+    the values in the tests stay the same. `of_tests`, shape (n_tests,), weights the tests. Return the largest
+    change of the centre or a width, relative to the new width.
     """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]

@@ -102,7 +102,8 @@ class LogNormal(Prior):
         Raises
         ------
         ValueError
-            If `mean` or `sd` is not positive and finite, or `sd` is negligible beside the mean.
+            If `mean` or `sd` is not positive and finite, or `sd` is so small that (sd/mean)² underflows to zero
+            (below about 1e-162 of the mean).
         """
         variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
         _require_width("mean", mean, sd, variance)
@@ -119,7 +120,8 @@ class LogNormal(Prior):
         Raises
         ------
         ValueError
-            If `mode` or `sd` is not positive and finite, or `sd` is negligible beside the mode.
+            If `mode` or `sd` is not positive and finite, or `sd` is so small that (sd/mode)² underflows to zero
+            (below about 1e-162 of the mode).
         """
         from scipy.optimize import brentq
 
@@ -177,6 +179,6 @@ def _log(bound: float) -> float:
 
 
 def _require_width(name: str, value: float, sd: float, variance: float) -> None:
-    """Raise ValueError if a log-normal prior is so narrow that rounding makes its variance zero."""
+    """Raise ValueError if a log-normal prior is so narrow that its variance underflows to zero."""
     if not variance > 0.0:
         raise ArgumentError("sd", f"must not be negligible beside the {name} {typed(value)}", typed(sd))

@@ -94,8 +94,8 @@ def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, 
     """Return the limits of a wider box for the posterior, or None if the box `trained` (2, n) is large enough.
 
     Each limit has the shape (n,). The wider box contains `trained`, draws from the Laplace approximations at the
-    maxima, and some `plausible_points`. `trained` is large enough if at most the share `_OUTSIDE` of these draws
-    lies outside it.
+    highest maximum and at other maxima less than `_RELEVANT` nats lower, and some `plausible_points`. `trained` is
+    large enough if at most the share `_OUTSIDE` of these draws lies outside it.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
     maxima = local_maxima(problem, starts=8)

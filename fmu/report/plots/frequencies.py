@@ -112,8 +112,9 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
 
     The frequencies before updating are shown if the trace stores them. The frequencies after updating are the
     posterior means, with the 90 % interval of a new measurement. For repeated tests, a new measurement is the mean
-    of as many tests, and the 90 % interval of one more test is shown beside it. If no noise is modelled, or if
-    only frequency response functions are used in updating, the interval is the one of the model's frequency.
+    of the same number of tests, and the 90 % interval of one more test is shown beside it. If no noise is
+    modelled, or if only frequency response functions are used in updating, the interval is for the
+    model's frequency without noise.
 
     Parameters
     ----------

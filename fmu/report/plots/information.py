@@ -91,8 +91,8 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 
     An entry is the frequency change, in error standard deviations, for a parameter change of one prior standard
     deviation. The model is linearised at the highest maximum, or at the starting point if no maximum was searched
-    for. Other measured quantities are shown only if there are no frequencies. At most 40 quantities are shown, and
-    numbers only in a matrix of at most 12 rows and columns.
+    for. Other measured quantities are shown only if there are no frequencies. At most 40 quantities are shown. If
+    the matrix has at most 12 rows and columns, entries of at least 3 % of the largest are also written as numbers.
 
     Parameters
     ----------

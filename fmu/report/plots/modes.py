@@ -261,7 +261,7 @@ def plot_mode(
 ) -> Axes:
     """Plot a structure and its deformed shape in one mode.
 
-    For a straight structure, the displacement in the direction of largest motion is plotted over the position. A
+    For a straight structure, the displacement in the direction of largest motion is plotted against position. A
     plane structure that moves mainly in its plane is shown in this plane, any other structure in isometric
     projection.
 

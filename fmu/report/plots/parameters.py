@@ -51,7 +51,7 @@ def plot_parameter_updates(
     Returns
     -------
     ndarray of Axes, shape (groups,)
-        One axes for the parameters of each unit, and one for the inferred error sds of each unit.
+        One axes for the parameters of each unit, and one for the inferred error parameters of each unit.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
@@ -92,7 +92,11 @@ def plot_parameter_updates(
 
 
 def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
-    """Return the names of the parameters that are inferred error standard deviations."""
+    """Return the names of the inferred parameters of the errors of modes.
+
+    They are standard deviations, correlations within a model discrepancy and, with `fmu.StudentErrors`, degrees of
+    freedom. The set is empty if there are none or if the trace is not of an updating problem.
+    """
     return frozenset((problem_of(trace).get("likelihood") or {}).get("noise", ()))
 
 

@@ -117,7 +117,7 @@ def finish(axes: Axes, x: str = "", y: str = "") -> None:
 
 
 def height_of_row(n: int) -> float:
-    """Return the height in inches of each of `n` axes in a column; above eight axes it is smaller."""
+    """Return the height in inches of each of `n` axes in a column. It is smaller if there are more than eight."""
     return 1.35 if n <= 8 else 1.1
 
 
@@ -137,9 +137,10 @@ def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
 
 
 def broken(label: str, room: float) -> str:
-    """Return a label, broken into at most three lines with the unit on the last if it is wider than `room` inches.
+    """Return a label, broken into at most three lines if it is wider than `room` inches.
 
-    A label that is too long ends with "…". Dollar signs are escaped.
+    If the label has a unit, the unit is then on the last line. Text that does not fit is replaced by "…". Dollar
+    signs are escaped.
     """
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")
@@ -150,9 +151,9 @@ def broken(label: str, room: float) -> str:
 
 
 def legend_below(axes: Axes) -> None:
-    """Move the axes' legend, if they have one, below the figure, in as many columns as fit.
+    """Add a legend for the labelled items in `axes` below the figure, in as many columns as fit.
 
-    Raise ValueError if the axes are on no figure.
+    No legend is added if nothing has a label. Raise ValueError if `axes` do not belong to a figure.
     """
     figure = axes.get_figure(root=True)
     if figure is None:

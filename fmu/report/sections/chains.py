@@ -98,9 +98,10 @@ def paths(run: ReportedRun) -> PageSection:
 
 
 def _agreement(run: ReportedRun) -> str:
-    """Return a sentence that says whether the chains agree, and gives the R-hat that is worst for its limit.
+    """Return a sentence that says whether the chains agree, and names the parameter with the worst R-hat.
 
-    If a parameter's R-hat is NaN or infinite, the sentence says that the agreement is unknown.
+    The worst R-hat is the highest one relative to its parameter's limit. If a parameter's R-hat is NaN or
+    infinite, the sentence says that the agreement is unknown.
     """
     rhat = run.summary["rhat"].fillna(np.inf)
     limits = rhat_limits(rhat.index, run.summary.attrs.get("scores", []))

@@ -253,7 +253,7 @@ def _losses_of_groups(run: ReportedRun) -> list[Part]:
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return a verdict on the losses in each later state, or an empty tuple if the trace has no losses."""
+    """Return one verdict on the losses in each state except the reference; empty if the trace has no losses."""
     if not has(run.trace, LOSSES):
         return ()
     doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""

@@ -29,7 +29,10 @@ _FEW = 3
 
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the verdicts on the first screen, ordered as an engineer would ask. Losses come first."""
+    """Return the verdicts on the first screen, in the order in which an engineer would ask for them.
+
+    If the trace has losses, the verdicts on the losses come first.
+    """
     *what, fit = of_the_model(run)
     if not has(run.trace, LOSSES):
         return *what, judge_data(run), fit, convergence(run)

@@ -5,8 +5,8 @@ their Gaussian distribution given all other parameters (`fmu.posterior.discrepan
 errors, the tests are independent. But errors and main parameters explain the same residuals, so the main
 parameters hardly move while the errors are fixed. Three kinds of steps move them further:
 
-1. Each inferred error sd is scaled, while the errors in standard deviations stay the same, and the main parameters
-   move to compensate. This step follows the funnel that forms where the errors become small.
+1. Each inferred error sd is scaled, while the model errors stay the same in units of their standard deviations.
+   The main parameters move to compensate. This step follows the funnel that forms where the errors become small.
 2. The main parameters take random walks at fixed scores, in the density with the errors marginalised (a partially
    collapsed Gibbs sampler: van Dyk & Park 2008, *J. Am. Stat. Assoc.* 103, 790–796). A step is the change in the
    main parameters that would compensate for random errors.
@@ -126,7 +126,8 @@ class MovesWithErrors(MovesOfMain):
     def _move_sizes(self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray) -> FloatArray:
         """Move each inferred error sd in turn, and the main parameters to compensate; return theta (chains, ndim).
 
-        The model errors stay the same in standard deviations. Each standard deviation takes one solve.
+        The model errors stay the same in units of their standard deviations. Each inferred error sd takes one
+        solve.
         """
         problem, columns, given = self.collapsed, self.conditionals.marginal.columns, self.given_errors
         first, n = problem.n_structural, problem.ndim

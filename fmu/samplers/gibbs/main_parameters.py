@@ -78,7 +78,10 @@ def fit_to(likelihood: ModalLikelihood, seen: ModalPrediction, at: FloatArray) -
 
 
 def select_fit(of_terms: BoolArray, of_residuals: BoolArray, new: Fit, old: Fit) -> Fit:
-    """Return `new` for the chosen terms and residuals, (chains, n) or (chains, 1), and `old` for the rest."""
+    """Return the `new` values where the masks `of_terms` and `of_residuals` are True, otherwise the `old` ones.
+
+    Each mask has shape (chains, n) or (chains, 1). The mask of the residuals also applies to the slopes.
+    """
     chosen = {"terms": of_terms, "residuals": of_residuals, "slopes": of_residuals[..., None]}
     return {name: np.where(chosen[name], new[name], value) for name, value in old.items()}
 

@@ -44,7 +44,7 @@ class RunResult:
     groups : int
         Number of groups into which the chains were divided.
     init : str
-        Source of the starting points: "prior", "start", "maxima" or "array".
+        Source of the starting points: "prior", "start", "maxima" or "array"; "proposals" for delayed acceptance.
     wall_s, warmup_wall_s : float
         Time spent in s: on the whole run, including warm-up, and on warm-up alone.
     learnt : dict

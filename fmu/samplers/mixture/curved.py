@@ -99,7 +99,7 @@ class CurvedMixture:
     def covariance_within(self, rng: np.random.Generator, n: int, warp: Warp | None = None) -> FloatArray:
         """Return the covariance of `n` draws that are clipped to the bounds, shape (ndim, ndim).
 
-        It is of u or, if `warp` is given, of its coordinates.
+        It is the covariance of u or, if `warp` is given, of the coordinates of the warp.
         """
         u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
         u = u if warp is None else warp.to_x(u)

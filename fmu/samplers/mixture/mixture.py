@@ -51,18 +51,21 @@ class MixtureSampler(Sampler):
     weights : vector, optional
         Weights of the components; equal by default. A `CurvedMixture` has its own.
     bent : vector of bool, optional
-        Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see `Warp`. Chosen in warm-up by
-        default. If it is given, warm-up keeps components that fit fairly until it has many draws.
+        Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see `Warp`. It requires
+        `components`, and warm-up may change it. By default, only coordinates with a lower but no upper
+        bound are transformed at first. If the mask is given, warm-up keeps components that fit fairly well until
+        there are many draws.
     wide : float, optional
         Fraction of each component's weight that goes to its wider copies, which keep w bounded. By default warm-up
         chooses 0.05 if the candidates' effective sample size is at least 0.9 per candidate, otherwise 0.1.
     local : LocalSampler, optional
-        Settings of the local steps. The default is HMC if the density has exact gradients, otherwise slice
-        sampling.
+        Settings of the local steps. The default is HMC if the density gives exact gradients without extra solves,
+        otherwise slice sampling. If warm-up fits a `CurvedMixture`, the default changes to slice sampling.
     local_steps, jumps : int
         Numbers of local steps and of candidates per cycle. By default `jumps` is 39, or 79 if `wide` is below 0.1.
-        Warm-up replaces both if candidates are rarely accepted or the mixture is curved. It does not if at least
-        half of the steps are local. If `local` is given too, the sampler then takes its name; see `with_jumps`.
+        Warm-up replaces both if candidates are rarely accepted or the mixture becomes curved, unless at least half
+        of the steps are local. If at least half are local and `local` is given, the sampler takes the name of
+        `local`; see `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
 

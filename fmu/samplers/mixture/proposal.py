@@ -122,7 +122,7 @@ class Mixture:
     def covariance_within(self, rng: np.random.Generator, n: int, warp: Warp | None = None) -> FloatArray:
         """Return the weighted mean of the components' covariances, each estimated from `n` draws.
 
-        They are of u or, if `warp` is given, of its coordinates.
+        They are covariances of u or, if `warp` is given, of the coordinates of the warp.
         """
         total = 1e-12 * np.eye(ndim := len(self.warp.lower))
         for k, weight in enumerate(self.weights):

@@ -1,4 +1,4 @@
-"""Logarithmic coordinates in which skewed log-densities are more nearly quadratic, and densities in them."""
+"""Transform skewed log-densities to logarithmic coordinates, in which they are more nearly quadratic."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def test_coherence_gives_the_standard_deviation():
     ("changes", "message"),
     [
         ({"frequencies_hz": [5.0, 20.0, 10.0]}, r"frequencies_hz.2: must ascend; .* \(got 10 Hz after 20 Hz\)"),
-        ({"frequencies_hz": [5.0, np.nan, 10.0]}, r"frequencies_hz.1: must be positive and finite"),
+        ({"frequencies_hz": [5.0, np.nan, 10.0]}, r"frequencies_hz.1: must be finite and not negative"),
         ({"values": H.T}, r"values: must have shape \(n_frfs, 3\).*transpose them"),
         ({"values": H[0]}, r"values: .* put the values of one FRF in a list"),
         ({"values": "x"}, r"values: must be complex numbers"),

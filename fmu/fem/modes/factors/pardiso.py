@@ -42,11 +42,12 @@ _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 
 
 def n_threads() -> int:
-    """Return the number of threads that PARDISO uses to factorise, from 1 to 8.
+    """Return the number of threads with which PARDISO factorises a matrix of at least `LARGE` rows, from 1 to 8.
 
     The number is taken from the environment variable ``MKL_NUM_THREADS`` or, if that is not set, from
     ``OMP_NUM_THREADS``. The workers of fmu's engines set both to 1 unless they are set. If neither is set, or the
-    value is not a whole number, it is the number of processors that this process may use.
+    value is not a whole number, it is the number of processors that this process may use. Smaller matrices
+    are factorised in one thread.
     """
     given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

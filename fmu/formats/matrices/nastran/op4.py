@@ -1,13 +1,13 @@
-"""Reader for Nastran OUTPUT4 files, ``.op4``: binary of either byte order or text, with full or sparse columns.
+"""Reader for Nastran OUTPUT4 files, ``.op4``, which are text or binary, with full or sparse columns.
 
-MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files do not name their rows: see `fmu.formats.models.bulk`.
-The DMAP statements are::
+Binary files may have either byte order. The format is described in MSC Nastran, *DMAP programmer's guide*,
+OUTPUT4. The files do not name their rows: see `fmu.formats.models.bulk`. The DMAP statements are::
 
     ASSIGN OUTPUT4='model.op4',UNIT=31,FORM=BIG64
     OUTPUT4 KGG,MGG,,,//0/31///16
 
 MYSTRAN writes these files as ``job.OU1`` to ``job.OU7``, with ``OUTPUT4 KGG,MGG,,,//-1/21`` in the executive
-control. Its rows are in the order in which the deck defines the nodes, unless PARAM,GRIDSEQ says otherwise.
+control. MYSTRAN orders the rows as the deck defines the nodes, unless PARAM,GRIDSEQ says otherwise.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ _ROUNDING = 1e-5
 def checked_frequencies(frequencies_hz: Any) -> FloatArray:
     """Return the line frequencies in Hz as an array (n_lines,). The first frequency may be 0 Hz.
 
-    Raise ValueError if they are invalid.
+    Raise ValueError if they are not a list of numbers, are empty, negative or not finite, do not ascend, or
+    consist of 0 Hz only.
     """
     f = np.array(frequencies_hz, dtype=float)
     if f.ndim != 1 or len(f) == 0:

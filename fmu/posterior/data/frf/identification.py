@@ -50,7 +50,9 @@ class IdentifiedModes(NamedTuple):
 
 
 def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, least_mpc: float) -> IdentifiedModes:
-    """Return the modes at the resonances of the FRFs with one reference; see `fmu.FRFData.identify_modes`.
+    """Identify modes from the FRFs that share one reference; see `fmu.FRFData.identify_modes`.
+
+    The modes are sought at resonances that are picked from all FRFs, including those without the reference.
 
     Parameters
     ----------
@@ -60,6 +62,7 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
     n : int, optional
         Largest number of modes.
     reference : (place, direction), optional
+        The drive or the response that the FRFs to use have in common. Defaults to the most frequent one.
     least_mpc : float
         Smallest modal phase collinearity.
 

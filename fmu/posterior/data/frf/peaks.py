@@ -233,9 +233,10 @@ def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
 
 
 def lines_near(curve: FloatArray, i: int) -> slice:
-    """Return the slice of lines around the peak at line i, up to the lines below `_NEAR` of its height.
+    """Return the slice of lines around the peak at line i.
 
-    The slice has at most `_MOST_LINES` and, if possible, at least three lines on each side.
+    On each side, the slice ends with the first line below `_NEAR` times the height of the peak. It has at most
+    `_MOST_LINES` lines on each side and, if the spectrum has them, at least three.
     """
     ends = []
     for side in (curve[i::-1], curve[i:]):

@@ -50,7 +50,7 @@ class Conditionals(NamedTuple):
     normal : FittedNormal
         The normal distribution closest to `marginal`.
     noise : ndarray, shape (n_noise,)
-        Relative posterior standard deviations of the inferred error parameters, at most one.
+        Posterior standard deviation of each inferred error parameter divided by its value; no entry exceeds 1.
     by_errors : ndarray, shape (d, n_errors)
         Changes of the main parameters that make up for model errors of unit size, at fixed scores.
     sizes : ndarray, shape (n_errors,)

@@ -1,18 +1,19 @@
 """Metropolis steps for populations and correlation times, given parameter values that are correlated in time.
 
-A population has the centre μ, the standard deviation s and the correlation time T. Given the values x_t in the
+A population has the centre μ, the standard deviation s and the correlation time T. Given the values x_t in m
 tests (their logarithms in log-normal populations), the likelihood has no further information on μ, s and T. With
 the precision matrix Q of the scores, and if the values are not bounded,
 
     p(x | μ, s, T) = |Q|^½ s^(−m) exp(−½ (x − μ)ᵀ Q (x − μ) / s²) / (2π)^(m/2).
 
-With the prior density 1/s for μ and s, the generalised least-squares estimate μ̂ and S = (x − μ̂)ᵀ Q (x − μ̂),
+Let μ̂ be the generalised least-squares estimate, and let S = (x − μ̂)ᵀ Q (x − μ̂). With the prior density 1/s for
+μ and s,
 
     S/s² ~ χ²(m − 1),    μ | s ~ N(μ̂, s²/1ᵀQ1)
 
 (Gelman et al. 2013, *Bayesian Data Analysis*, section 14.7). For a candidate, T comes from a random walk in log T,
 and μ and s are then drawn given T. The Metropolis–Hastings ratio accounts for the bounds and for the priors of μ,
-s and T. So T, μ and s move together along the ridge on which a wide scatter changes slowly.
+s and T. So T, μ and s move together along the ridge of the posterior on which a longer T makes up for a larger s.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Density of each test's scores given the main parameters. Scores in different tests are then independent.
+"""Density of each test's scores given the main parameters, if scores in different tests are independent.
 
 The posterior density of test t's scores z_t, given the main parameters, is proportional to
 
@@ -265,8 +265,8 @@ class ScoresGivenMain:
     def linearise(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Linear:
         """Linearise the parameter values in the scores, at the main parameters in theta (n, ndim).
 
-        The centre is the scores, limited to ±`_FAR`, whose values are nearest to the values at the expansion
-        point. `scales` is as in `Linear`.
+        The values are linearised about the scores at which they are nearest to the values at the expansion point.
+        These scores are limited to ±`_FAR`. `scales` is as in `Linear`.
         """
         numbers, scored, noise = (
             self.scores.parameters,
@@ -313,7 +313,7 @@ class ScoresGivenMain:
     ) -> Normal:
         """Return normal approximations of the score densities that have the same gradients at the scores in theta.
 
-        The mean is where a Gauss–Newton step from these scores leads. In a test whose solve failed, the
+        The mean is the result of a Gauss–Newton step from these scores. In a test whose solve failed, the
         approximation is a standard normal distribution about the scores.
 
         Parameters

@@ -219,7 +219,8 @@ class Future(NamedTuple):
     scores : mapping of int to ndarray, shape (n,)
         Standardised values in each population, keyed by the index of the population's centre in theta.
     covariates : mapping of str to float
-        Values of the covariates. A covariate without an entry is set to its mean over the tests.
+        Values of the covariates. In a trend, a covariate without an entry is set to its mean over the tests. If
+        the time of an undated loss has no entry, the time of the last test is used.
     """
 
     rng: np.random.Generator

@@ -70,7 +70,10 @@ class Law:
     """A law by which a parameter depends on a covariate."""
 
     def bind(self, of: str, covariate: Covariate, add: Add) -> Effect:
-        """Add the law's parameters to theta with `add`; return the effect. Their names begin with `of`."""
+        """Add the law's parameters to theta with `add`; return the effect.
+
+        The names of the parameters begin with `of`.
+        """
         raise NotImplementedError
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
