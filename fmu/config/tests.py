@@ -272,7 +272,7 @@ def in_the_file(
 ) -> list[ArgumentError]:
     """Return inconsistencies between tests as errors, each with its location in the file.
 
-    If several lines of a campaign break the same rule, only the first is reported.
+    If the same error message applies to several lines of a campaign, only the first line is reported.
     """
     number = {table.name: i for i, table in enumerate(tables)}
     found: dict[tuple[str, str], ArgumentError] = {}

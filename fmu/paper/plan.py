@@ -156,7 +156,7 @@ class Runs:
     phase : str
         Name of the progress line.
     total : int
-        Total number of steps in all runs.
+        Number of steps per chain, including warm-up, summed over all runs.
     progress : callable, optional
         Called after every step as ``progress(phase, done, total, info)``.
     """

@@ -86,7 +86,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str,
 
 
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
-    """Return the names of the modes. The matrix blocks of a straight beam are its four planes of motion.
+    """Return mode names such as ``"W1"``. Each matrix block of a straight beam describes one plane of motion.
 
     Raise ValueError if planes of motion are coupled, or if one plane has several blocks.
     """

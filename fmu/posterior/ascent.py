@@ -180,10 +180,11 @@ def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, up
 def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return steps (n, ndim) that decrease the quadratic model g·s + sᵀAs/2 within the box.
 
-    The exact minimum in a box is a quadratic programme. Three cheap candidates are enough, since the damping
-    corrects a poor step: the Newton step clipped to the box, the Newton step shortened to the first bound, and an
-    active-set step. The active-set step fixes each coordinate that would cross a bound at that bound, and solves
-    for the remaining coordinates, repeatedly, until all are inside.
+    Finding the exact minimum in the box would require quadratic programming. Three cheap candidates are enough,
+    since the damping corrects a poor step: the Newton step clipped to the box, the Newton step shortened to the
+    first bound, and an active-set step. The active-set step places each coordinate that would leave the box on its
+    bound, and solves for the remaining coordinates. This is repeated until all are inside. The candidate with the
+    largest decrease is returned.
     """
     # fix coordinates that are at a bound while V decreases outwards
     held = find_pressed(u, g, lower, upper)

@@ -156,9 +156,11 @@ class FRFTable(Declared):
             raise BrokenError(_in_the_file(error)) from None
 
     def pick(self, errors: FRFErrors, built: Built, numbers: Sequence[int] = ()) -> ModalData:
-        """Pick modes at the FRF resonances. Raise BrokenError if they do not fit the model.
+        """Pick modes at the FRF resonances.
 
-        If `numbers` is not empty, it replaces the mode numbers ``modes`` in the table.
+        If `numbers` is not empty, it is used instead of the table's mode numbers, ``modes``. Raise BrokenError if
+        there is no resonance, if there is not one mode number per resonance, or if the modes or the responses do
+        not fit the model.
         """
         try:
             modes = pick_modes(errors.data, tuple(numbers or self.modes))

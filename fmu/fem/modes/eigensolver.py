@@ -10,8 +10,8 @@ A free structure has a singular K. Its strain-free motions N, with K N = 0, are 
 eigenvectors of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
 distinguish a rigid-body motion from the motion of a soft part. The strain energy of a rigid-body motion must also
 be mere rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid-body
-modes. Let Nᵀ M N = I and P = I − N Nᵀ M. Fix just enough degrees of freedom to make the structure statically
-determinate, and let f be the remaining ones. With φ = P [y; 0],
+modes. Let Nᵀ M N = I and P = I − N Nᵀ M. Fix just enough degrees of freedom to prevent the strain-free motions,
+as statically determinate supports do, and let f be the remaining ones. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 

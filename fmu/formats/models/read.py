@@ -80,9 +80,10 @@ def read_model(
     Returns
     -------
     ExportedModel
-        The model, without rows that have no stiffness and mass, that Abaqus marks as fixed, or that the mesh's
-        constraints and supports eliminate. Its degrees of freedom are along global axes, except at the nodes
-        listed in a note. These nodes keep their local axes, and some of their degrees of freedom have no row.
+        The model. Rows are removed if they have neither stiffness nor mass, if Abaqus marks them as fixed, or if
+        the mesh's constraints and supports eliminate them. The degrees of freedom are along global axes, except at
+        the nodes listed in a note. These nodes keep their local axes, and some of their degrees of freedom have no
+        row.
 
     Raises
     ------

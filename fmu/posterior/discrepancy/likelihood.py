@@ -146,8 +146,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The information on the parameters is JᵀS⁻¹J, with S as in `residuals_and_slopes`. The information on error
-        sds and τ is Fisher's. The derivatives of S with respect to the parameters are neglected.
+        The information on the parameters is JᵀS⁻¹J, with S as in `residuals_and_slopes`; the derivatives of S are
+        neglected in it, but not in the gradient. For error sds and τ, it is the Fisher information.
         """
         seen, exact = self._observed_with_curvature(theta)
         with np.errstate(all="ignore"):

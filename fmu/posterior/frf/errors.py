@@ -97,7 +97,10 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError(f"model_sd.{inferred.name}.lower", "must be at least 0", inferred.lower)
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with place names replaced by nodes of the model. Labels keep the names."""
+        """Return the same settings with more place names in `places`; names that it already has keep their nodes.
+
+        The names in the data do not change, and are still used in labels.
+        """
         return replace(self, places={**places, **self.places})
 
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:

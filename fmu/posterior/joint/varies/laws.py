@@ -254,7 +254,7 @@ def slope(name: str, prior: Prior) -> Parameter:
 
 
 def law_of(how: Prior | Law | str) -> Law | None:
-    """Return the law itself, a straight line if `how` is a prior for its slope, or None if `how` is a name."""
+    """Return `how` if it is a law, a straight line if it is a prior for the slope, or None if it is a name."""
     if isinstance(how, str):
         return None
     return Polynomial([how]) if isinstance(how, Prior) else how
