@@ -122,7 +122,8 @@ def _is_numeric(value: object, rule: Rule) -> bool:
 
     try:
         array = np.asarray(value)
-        if not hasattr(value, "dtype") and any(type(one) is bool for one in np.asarray(value, dtype="O").ravel()):
+        items = () if hasattr(value, "dtype") else np.asarray(value, dtype="O").ravel()
+        if any(type(one) in (bool, np.bool_) for one in items):
             return False
         if array.dtype.kind == "O":
             if any(isinstance(one, str | None) for one in array.ravel()):

@@ -8,7 +8,7 @@ The input deck needs this step, and a set SENSORS with the sensor nodes::
     U
 
 If *TRANSFORM rotates the axes of a node, CalculiX prints its displacements along the rotated axes, with the mark
-L. Such rows are refused, so ``*NODE PRINT`` then needs ``GLOBAL=YES``.
+L. Such rows are not used: ``*NODE PRINT`` needs ``GLOBAL=YES``.
 
 CalculiX expands shells and beams into solids, but this file contains the displacements of the original nodes.
 Frequencies have seven significant digits.
@@ -72,9 +72,12 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     text = _last_step(path)
     begins = [match.start() for match in _MODE.finditer(text)]
     blocks = [text[begin:end] for begin, end in zip(begins, [*begins[1:], len(text)], strict=False)]
-    modes = _displacements(blocks, n_modes, path.name)
+    modes, rotated = _displacements(blocks, n_modes, path.name)
     wanted = sorted(set.intersection(*map(set, modes))) if nodes is None else nodes
     missing = next((node for node in wanted for rows in modes if node not in rows), None)
+    if missing in rotated:
+        rule = "displacements along the axes of *TRANSFORM: its *NODE PRINT needs GLOBAL=YES"
+        raise ValueError(f"{path.name} has, for node {missing}, {rule}")
     if missing is not None:
         raise ValueError(f"{path.name} has no displacement of node {missing}: it must be in a *NODE PRINT with U")
     return {
@@ -111,15 +114,18 @@ def _frequencies(text: str, name: str) -> FloatArray:
     return np.array(found)
 
 
-def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
-    """Return one dict per mode that maps each node id to its three displacements, still as text.
+def _displacements(
+    blocks: Sequence[str], n_modes: int, name: str
+) -> tuple[list[dict[int, list[str]]], set[int | None]]:
+    """Return one dict per mode that maps each node id to its three displacements along global axes, still as text.
 
-    Raise ValueError unless there are `n_modes` blocks, with displacements along global axes.
+    Also return the ids of nodes with displacements along axes of their own. Raise ValueError unless there are
+    `n_modes` blocks.
     """
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")
-    modes = []
+    modes, rotated = [], set[int | None]()
     for block in blocks:
         rows: dict[int, list[str]] = {}
         reading = False
@@ -128,12 +134,11 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
             if words and not words[0].isdecimal():
                 reading = line.strip().startswith(_SHAPE)
             elif reading and words[-1:] == [_LOCAL]:
-                rule = "has displacements along the axes of *TRANSFORM: the *NODE PRINT needs GLOBAL=YES"
-                raise ValueError(f"{name} {rule} (got node {words[0]})")
+                rotated.add(int(words[0][:10]))
             elif reading and len(words) == 1 + len(DIRECTIONS):
                 rows[int(words[0][:10])] = words[1:]
         modes.append(rows)
-    return modes
+    return modes, rotated
 
 
 def _number(word: str, name: str) -> float:

@@ -121,7 +121,7 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     expected = covered and not found.priors
     missed = f"{far} of {len(found.prior.labels)} modes not covered" if far else "The model fails"
     answer = missed if not covered else "Yes" if expected else "Priors miss their bounds"
-    reasons = (*found.priors, *(() if covered else found.prior.sentences()))
+    reasons = (*found.priors, *found.prior.doubts)
     verdicts.append(
         Verdict("Does the prior cover the data?", answer, expected, "What is wrong with the prior", reasons)
     )

@@ -142,7 +142,7 @@ class RunReader:
         now = FINISHED if ended else _state(at_work, folder)
         verdicts = _verdicts(self.directory) if ended else {}
         unfinished = [name for name in names if name not in finished]
-        started = [name for name in unfinished if (where / name / "group-1").exists()]
+        started = [name for name in unfinished if (where / name).is_dir()]
         latest = max(started, key=lambda name: _youngest(where / name), default=next(iter(unfinished), ""))
         samplers = []
         for name in names:

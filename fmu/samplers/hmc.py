@@ -149,12 +149,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def starting_from(
-        self,
-        components: Sequence[Quadratic],
-        weights: FloatArray,
-        warp: Warp | None = None,
-        *,
-        are_poor: bool = False,
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 

@@ -154,18 +154,12 @@ class Sampler(ABC):
         return bool(self.gradient)
 
     def starting_from(
-        self,
-        components: Sequence[Quadratic],
-        weights: FloatArray,
-        warp: Warp | None = None,
-        *,
-        are_poor: bool = False,
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> Self:
         """Return a copy adapted to the density's maxima, or `self` by default.
 
         The maxima are given as quadratics, with their `weights` (n,). If `warp` is given, the log-density is
-        closer to the quadratics in the coordinates of the warp. If `are_poor` is True, the quadratics are poor
-        approximations of the log-density a standard deviation away.
+        closer to the quadratics in the coordinates of the warp.
         """
         return self
 

@@ -125,7 +125,7 @@ def begin(
     """
     from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable
-    from fmu.analysis.maxima.starts import adapt_to_maxima, choose_starts, worth_starting_from
+    from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
     from fmu.analysis.trace.densities import is_updating
     from fmu.progress.phases import solves
     from fmu.runs.maxima import kept_maxima
@@ -145,7 +145,7 @@ def begin(
             settings = with_jumps(settings)
     before = solves()
     if settings.takes_maxima and (begin_at is not None or not is_searchable(problem)):
-        settings = adapt_to_maxima(settings, problem, begin_at)
+        settings = settings.starting_from(*components(problem, begin_at))
     return Beginning(settings, starts, maxima, is_new, solves() - before)
 
 

@@ -208,14 +208,14 @@ class _Learner:
         surrogate's own uncertainty, the second to the scatter of the solver. All draws are stored in `drawn`.
         """
         from fmu.analysis.maxima.search import find_map
-        from fmu.analysis.maxima.starts import adapt_to_maxima, choose_starts
+        from fmu.analysis.maxima.starts import choose_starts, components
         from fmu.samplers.loop.run import Run
         from fmu.samplers.registry import make_sampler
 
         self.rounds += 1
         seed = int(np.random.SeedSequence(self.seed, spawn_key=(21, self.rounds)).generate_state(1)[0])
         maxima = find_map(self.problem, _STARTS)
-        settings = adapt_to_maxima(make_sampler("mixture"), self.problem, maxima)
+        settings = make_sampler("mixture").starting_from(*components(self.problem, maxima))
         start = choose_starts(self.problem, "maxima", maxima, _CHAINS, 1, seed).position
         run = Run(self.problem, settings, warmup=_WARMUP, chains=_CHAINS, seed=seed, init=start)
         self.drawn = run.extend(_DRAWS).posterior.position.reshape(-1, self.problem.ndim)

@@ -67,11 +67,13 @@ def test_a_stopped_run(out):
 
 def test_a_sampler_that_reached_its_limit_is_not_at_work(out):
     """The one whose files are the youngest is."""
-    shutil.copytree(out / "checkpoints" / "emcee", out / "checkpoints" / "mixture")
-    os.utime(next((out / "checkpoints" / "mixture" / "group-1").iterdir()), (2e9, 2e9))
+    (out / "checkpoints" / "mixture").mkdir()
+    announce(out / "checkpoints" / "mixture")
+    os.utime(out / "checkpoints" / "mixture" / "at-work.json", (2e9, 2e9))
     announce(out / "checkpoints")
-    rows = {line.split()[0]: line.split() for line in watch("out") if line}
-    assert (rows["emcee"][2], rows["mixture"][2]) == ("stopped", "running")
+    words = [line.split() for line in watch("out")]
+    assert [one[:3] for one in words if one[:1] == ["emcee"]] == [["emcee", "all", "stopped"]]
+    assert [one[:2] for one in words if one[:1] == ["mixture"]] == [["mixture", "running"]]
 
 
 def test_as_json(out):

@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.maxima.search import is_searchable
-from fmu.analysis.maxima.starts import adapt_to_maxima, choose_starts
+from fmu.analysis.maxima.starts import choose_starts, components
 from fmu.samplers.loop.run import Run
 from fmu.samplers.registry import COMPARED, make_sampler
 
@@ -80,7 +80,7 @@ def digests() -> Iterator[tuple[str, str]]:
         if maxima is not None:
             yield f"{name}: maxima", digest(*(value for one in maxima for value in (one.theta, one.log_prob)))
         for sampler in COMPARED:
-            settings = adapt_to_maxima(make_sampler(sampler), problem, maxima)
+            settings = make_sampler(sampler).starting_from(*components(problem, maxima))
             if settings.walkers > 1:
                 settings = replace(settings, walkers=max(settings.walkers, 2 * problem.ndim))
             start = choose_starts(problem, "maxima", maxima, CHAINS, settings.walkers, SEED).position

@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.maxima.search import find_map
-from fmu.analysis.maxima.starts import adapt_to_maxima, choose_starts
+from fmu.analysis.maxima.starts import choose_starts, components
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.samplers.loop.run import run
@@ -369,7 +369,7 @@ def corrected(case: PoorCase) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         surrogate = fmu.surrogate(case.problem(), seed=case.seed, max_solves=22, tolerance=1e-6)
     maxima = find_map(surrogate, 32)
-    settings = adapt_to_maxima(make_sampler("mixture"), surrogate, maxima)
+    settings = make_sampler("mixture").starting_from(*components(surrogate, maxima))
     off: dict[str, list[Any]] = {"first": [], "second": []}
     records = []
     for seed in range(SEEDS):

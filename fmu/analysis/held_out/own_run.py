@@ -14,7 +14,7 @@ from fmu.analysis.convergence.remedies import RHAT_LIMIT, required_ess
 from fmu.analysis.held_out.together import walk
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.maxima.search import find_map, is_searchable
-from fmu.analysis.maxima.starts import adapt_to_maxima, are_in_funnel, choose_starts
+from fmu.analysis.maxima.starts import are_in_funnel, choose_starts, components
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.posterior.scaled import LogarithmicDensity, ScaledDensity
@@ -60,7 +60,7 @@ def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> Floa
     found = _by_rounds(without, near, np.random.default_rng(seed))
     if found is not None and not _lacks_a_maximum(maxima, ScaledDensity(without), found):
         return found[None]
-    sampler = adapt_to_maxima(MixtureSampler(), without, maxima)
+    sampler = MixtureSampler().starting_from(*components(without, maxima))
     starts = choose_starts(without, "maxima", maxima, _CHAINS, sampler.walkers, seed)
     run = Run(without, sampler, warmup=_WARMUP, chains=_CHAINS, seed=seed, init=starts.position)
     more = _FIRST

@@ -16,7 +16,6 @@ from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.analysis.trace.densities import has_prior, is_updating
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.warp import Warp
 from fmu.samplers.settings import whole_number
@@ -42,8 +41,6 @@ _IN_A_NECK = 10.0
 """ESS below which a maximum's quadratic model is useless; it is estimated from hundreds of draws around it."""
 _FIT_BADLY = 64.0
 """Effective draws below which a model with a discrepancy gets components for many sizes of the discrepancy."""
-_FITS_POORLY = 128.0
-"""Effective draws, of a thousand around a maximum, below which its quadratic model is a poor first component."""
 
 
 class Starts(NamedTuple):
@@ -191,22 +188,6 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
     maxima = find_map(problem) if is_searchable(problem) else None
     starts = choose_starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
     return np.asarray(starts.position)[0]
-
-
-def adapt_to_maxima[S: Sampler](settings: S, density: LogDensity, maxima: Maxima | None) -> S:
-    """Return the settings of a sampler adapted to quadratic models at the maxima (see `components`).
-
-    If the quadratic model at a single important maximum is poor, the mixture sampler learns its first components
-    from local steps instead. This requires an updating problem whose exact gradients take no further solves. With
-    several important maxima it is not done, because local steps might miss one of them.
-    """
-    quadratics, weights, warp = components(density, maxima)
-    are_poor = False
-    if maxima is not None and warp is None and is_updating(density):
-        effective = [m.effective_draws for m in maxima if m.starting_share > NEGLIGIBLE]
-        is_fast = Target(density).solves_per_gradient == 1
-        are_poor = is_fast and len(effective) == 1 and effective[0] < _FITS_POORLY
-    return settings.starting_from(quadratics, weights, warp, are_poor=are_poor)
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:

@@ -205,6 +205,8 @@ def _hdf5_array(dataset: h5py.Dataset) -> AnyArray | None:
         array = array["real"] + 1j * array["imag"]
     kind = dataset.attrs.get("MATLAB_class", b"")
     if kind == b"char":
+        if array.ndim > 2:
+            return None
         lines = ["".join(map(chr, row)).rstrip() for row in np.atleast_2d(array.T).tolist()]
         return np.asarray(lines[0] if len(lines) == 1 else lines)
     if array.dtype.kind == "S":

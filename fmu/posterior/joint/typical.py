@@ -189,9 +189,10 @@ def _most_probable(
         squares = (x - middle)[here] ** 2, (variance[columns] * spread**2)[here]
         width = np.sqrt(sum(np.mean(of_tests[here] * square) for square in squares))
         width = max(width, _LEAST_SD * problem.start[k])
-        changes.append(float(max(abs(new - last), abs(width - theta[k])) / width))
         low, high = problem.lower[k], problem.upper[k]
-        margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
-        theta[k] = np.clip(width, low + margin, high - margin)
+        margin = 1e-3 * min(high - low, max(width, low)) if np.isfinite(high - low) else 0.0
+        width = np.clip(width, low + margin, high - margin)
+        changes.append(float(max(abs(new - last), abs(width - theta[k])) / width))
+        theta[k] = width
     theta[columns] = one.scores_at(one(before)[0], theta[None])[0, one.scored]
     return max(changes)

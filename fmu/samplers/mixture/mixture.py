@@ -136,20 +136,13 @@ class MixtureSampler(Sampler):
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
     def starting_from(
-        self,
-        components: Sequence[Quadratic],
-        weights: FloatArray,
-        warp: Warp | None = None,
-        *,
-        are_poor: bool = False,
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> Self:
         """Return a copy that starts from these components and weights, or `self` if `components` was given.
 
-        If `warp` is given, the components are transformed to its coordinates. If they are poor, return `self`: the
-        first components are then fitted to the draws of local steps, which show more of the density than
-        candidates from poor components.
+        If `warp` is given, the components are transformed to its coordinates.
         """
-        if self.components is not None or are_poor:
+        if self.components is not None:
             return self
         given = replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))
         if warp is None:

@@ -8,14 +8,7 @@ import pytest
 
 import fmu
 from fmu.analysis.maxima.missed import draws_of_maxima, nearest_maxima
-from fmu.analysis.maxima.starts import (
-    DISPERSION,
-    adapt_to_maxima,
-    allot_chains,
-    are_in_funnel,
-    components,
-    starts_at_maxima,
-)
+from fmu.analysis.maxima.starts import DISPERSION, allot_chains, are_in_funnel, components, starts_at_maxima
 from tests.four_storeys import SD, TRUTH, four_storeys
 
 
@@ -202,19 +195,3 @@ def test_a_funnel_has_one_maximum_which_is_its_neck(frame):
     )
     assert are_in_funnel(wrong, neck)
     assert not any(are_in_funnel(*one) for one in ((wrong, wide), (wrong, maxima), (frame, neck)))
-
-
-def test_a_mixture_begins_with_local_steps_where_the_quadratic_model_is_poor(frame, frame_maxima):
-    """Unless several maxima matter, each of which local steps might leave out, or gradients take solves."""
-    best = frame_maxima[0]
-
-    def begins_with_components(problem, *effective):
-        each = (replace(best, share=1.0 / len(effective), weight=np.nan, effective_draws=n) for n in effective)
-        maxima = replace(frame_maxima, maxima=tuple(each))
-        return adapt_to_maxima(fmu.MixtureSampler(), problem, maxima).components is not None
-
-    model = fmu.BlackBoxModel(frame.frequencies, frame.ndim)
-    error = fmu.FrequencyErrors("relative", sd=SD)
-    slow = fmu.UpdatingProblem(model, frame.data, frame.parameters, error=error)
-    cases = [(frame, 500.0), (frame, 20.0), (frame, 20.0, 20.0), (slow, 20.0)]
-    assert [begins_with_components(*one) for one in cases] == [True, False, True, True]

@@ -6,7 +6,7 @@ import copy
 from typing import Any
 
 import fmu
-from fmu.analysis.maxima.starts import adapt_to_maxima, starts_at_maxima
+from fmu.analysis.maxima.starts import components, starts_at_maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import make_sampler, plan_steps
 from tests.benchmarks.peers.ensembles import walkers_for
@@ -43,7 +43,7 @@ def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:
         # as for a problem: `fmu.sample` begins with a density alone at its prior
         sampler = fmu.Ensemble(walkers_for(problem.ndim)) if name == "emcee" else make_sampler(name)
         start = starts_at_maxima(problem, maxima, CHAINS, sampler.walkers, seed)
-        sampler = adapt_to_maxima(sampler, problem, maxima)
+        sampler = sampler.starting_from(*components(problem, maxima))
         search = meter.read()
         trace = fmu.sample(
             WithoutModel(problem), sampler, maxima=maxima, init=start, seed=seed, until_ess=enough,

@@ -269,6 +269,64 @@ def test_a_mode_that_the_search_missed_joins():
     assert len(result.learnt["components"]) == 2
 
 
+class LogGamma(Target):
+    """Eight independent logarithms of exponential variables: skewed, with their maximum at 0."""
+
+    def __init__(self):
+        super().__init__(8)
+        self.mean, self.covariance = np.full(8, -np.euler_gamma), np.eye(8) * np.pi**2 / 6
+        self.unbounded_view()
+
+    def value_and_slope(self, x):
+        return np.sum(x - np.exp(x), axis=1), 1.0 - np.exp(x)
+
+    def exact(self, rng, n):
+        return np.log(rng.exponential(size=(n, 8)))
+
+
+class RoundGaussian(LogGamma):
+    """Eight independent Gaussian variables."""
+
+    def value_and_slope(self, x):
+        return -0.5 * np.sum(x**2, axis=1), -x
+
+    def exact(self, rng, n):
+        return rng.standard_normal((n, 8))
+
+
+@pytest.mark.parametrize(
+    ("target", "components", "local", "walks"),
+    [
+        (RoundGaussian(), 1, None, False),
+        (LogGamma(), 1, None, True),
+        (LogGamma(), 2, None, False),  # local steps might leave one of them out
+        (LogGamma(), 1, Slice(), False),
+    ],
+)
+def test_local_steps_follow_a_single_poor_component(target, components, local, walks):
+    """A tuner that is restored on the way goes on as the other."""
+    scaled = ScaledDensity(target)
+    best = Quadratic(scaled.to_scaled(np.zeros(8)), -8.0, np.zeros(8), np.diag(scaled.scale**2))
+    sampler, rng = MixtureSampler(components * (best,), local=local), np.random.default_rng(1)
+    tuner = sampler.tuner(scaled, 4, 400)
+    state, _ = tuner.kernel.init(scaled.to_scaled(target.exact(rng, 4)))
+    for _ in range(60):
+        state, info = tuner.kernel.step(rng, state)
+        tuner.update(state, info)
+    assert (tuner.mixture is None) == walks
+    again = sampler.tuner(scaled, 4, 400)
+    again.restore(tuner.state())
+    rngs = np.random.default_rng(2), np.random.default_rng(2)
+    states = [state, state]
+    for _ in range(340):
+        for k, (one, of) in enumerate(zip((tuner, again), rngs, strict=True)):
+            states[k], info = one.kernel.step(of, states[k])
+            one.update(states[k], info)
+        np.testing.assert_array_equal(states[0].position, states[1].position)
+    assert bool(len(tuner.visited.log_prob)) == walks
+    assert tuner.mixture is not None
+
+
 class Five(Target):
     """Five round modes in the unit box."""
 

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.proposal import WIDE, Mixture, Points, fit_mixture
-from fmu.samplers.mixture.quadratic import fit_quadratic
+from fmu.samplers.mixture.quadratic import fit_quadratic, measure_kurtosis
 from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray, IntArray, LogDensity
 
@@ -16,6 +17,9 @@ FAR = 10.0
 _APART = 3.0
 """Smallest distance between the means of separated chains, in standard deviations along the line between the
 means."""
+_HEAVY, _FITS_BADLY = 1.6, 0.8
+"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and ESS per draw below which Gaussians fit
+heavy tails badly."""
 _LEAST_MOVE = 1e-8  # smallest extent of draws that have moved, in scaled units
 
 
@@ -65,6 +69,45 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity, wide: float
     members = [(group == k).astype(float) for k in np.unique(group)]
     each = [fit_quadratic(x, value, member, of_x) for member in members]
     return fit_mixture(points, Mixture(each, np.sum(members, axis=1), warp, wide))
+
+
+def better_of(one: Mixture, other: Mixture, draws: Evaluated) -> Mixture:
+    """Return the mixture with the larger effective sample size per draw, judged by the draws of local steps."""
+    points = Points(draws.position, draws.log_prob, np.ones(len(draws.log_prob)))
+    shares = [np.nan_to_num(points.effective_share(q.log_density(points.position))) for q in (one, other)]
+    return one if shares[0] > shares[1] else other
+
+
+def is_infinite(points: Points | None, density: LogDensity) -> bool:
+    """Return True if weighted candidates show that a density is infinite at a bound; False without candidates."""
+    if points is None:
+        return False
+    shapes = fit_infinite_margins(points.position, points.weight, density.lower, density.upper)
+    return bool(np.isfinite(shapes).any())
+
+
+def has_heavy_tails(points: Points | None, mixture: Mixture | None, visited: Evaluated, chains: int) -> bool:
+    """Return True if a density has one maximum and tails too heavy for a good fit by Gaussians.
+
+    The weights P/q of Gaussian candidates are then unbounded, and the standard error of an evidence computed
+    from these weights is wrong. Return False without candidates, or without local draws before the first fit.
+
+    Parameters
+    ----------
+    points : Points or None
+        Weighted candidates.
+    mixture : Mixture or None
+        The mixture in use; None if it is curved.
+    visited : Evaluated
+        Local draws of all chains before the first fit.
+    chains : int
+    """
+    if points is None or mixture is None or not len(visited.log_prob):
+        return False
+    if groups_of_chains(visited.position.reshape(-1, chains, visited.position.shape[1])).any():
+        return False
+    share = points.effective_share(mixture.log_density(points.position))
+    return not share >= _FITS_BADLY and measure_kurtosis(points.under(mixture.warp)[0], points.weight) > _HEAVY
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:

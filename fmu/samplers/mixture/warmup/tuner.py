@@ -10,13 +10,13 @@ import numpy as np
 from numpy.random import default_rng
 
 from fmu.samplers.kernel import Info, Sampler, State, Target, Tree, Tuner
-from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.importance import sum_densities
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refit_mixture
-from fmu.samplers.mixture.quadratic import measure_kurtosis, n_coefficients
-from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws, groups_of_chains
+from fmu.samplers.mixture.quadratic import n_coefficients
+from fmu.samplers.mixture.warmup import local_draws
+from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws
 from fmu.samplers.mixture.warmup.rounds import ENOUGH, learn_in_rounds
 from fmu.samplers.mixture.warmup.unknown_maxima import Seen, add_maxima, find_unknown_maxima
 from fmu.samplers.slice import Slice
@@ -27,11 +27,13 @@ _LOCAL_PART = 0.5
 _FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Fractions of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
-_JUDGED = 3
-"""Index of the first fit after which the acceptance rate of candidates decides whether local steps prevail."""
-_RARE, _OFTEN = 0.1, 0.3
+_POOR, _JUDGED = 1, 3
+"""Index of the fit after which a poor component gives way to local steps, and of the first fit after which the
+acceptance rate of candidates decides whether local steps prevail."""
+_RARE, _OFTEN, _FAIR = 0.1, 0.3, 0.65
 """Acceptance rate of candidates in the worst chain below which most steps become local, and above which most steps
-are candidates again. A local step gives an ESS of about 0.05 per evaluation."""
+are candidates again; and below which a single given component is poor. A local step gives an ESS of about 0.05 per
+evaluation."""
 _LOCAL_STEPS = 3
 """Local steps per candidate if candidates are rarely accepted."""
 _ENOUGH_JUMPS, _ENOUGH_STEPS = 20, 100
@@ -43,11 +45,9 @@ _CANDIDATES = 5
 """Largest number of candidates for fitting a curved mixture, per warm-up step and chain."""
 _WORTH = 0.02
 """Efficiency (ESS per candidate) of a curved mixture below which local steps are more efficient."""
+_NO_STAGE = -1
 _CURVED_CYCLE = 1, 79
 """Numbers of local steps and of candidates in each cycle, for a curved mixture."""
-_HEAVY, _FITS_BADLY = 1.6, 0.8
-"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and ESS per draw below which Gaussians fit
-heavy tails badly."""
 
 
 class MixtureTuner:
@@ -58,6 +58,9 @@ class MixtureTuner:
     first mixture is fitted to their draws. If a chain or a candidate has found a maximum that the mixture misses,
     a component is added there. Local steps are adapted to the covariance and the coordinates of the first fit, and
     again if a later one transforms other coordinates.
+
+    If a single given component is still poor after the second fit, and gradients are exact, local steps follow as
+    if no components were given.
 
     If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps are
     then tuned to their own draws if enough steps remain. Later fits also use these draws. Candidates take over
@@ -88,20 +91,18 @@ class MixtureTuner:
         self.switched = -1  # step at which local steps began to prevail; -1 if they do not
         self.walk = 0, 0.0  # local steps without a mixture or while they prevail, and their solves per chain
         self.is_bent = self.has_tried = False  # a curved mixture is needed; a fit of one was tried
-        self.adapted = -1, 0  # stage to which local steps are adapted, and the steps that remained then
-        self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
         given = sampler.mixture(density)
         if given is None:
-            self.local = self.local_settings.tuner(density, chains, self.first)
+            self._adapt_local(_NO_STAGE, self.first)
         else:
             self._begin_with(given)
         self._take_kernel()
 
     @property
     def mixture(self) -> Mixture | CurvedMixture | None:
-        """The mixture in use; None before the first fit."""
-        return self.stages[-1] if self.stages else None
+        """The mixture in use; None before the first fit, and in local steps that follow a poor one."""
+        return None if self.adapted[0] == _NO_STAGE else self.stages[-1]
 
     @property
     def gaussians(self) -> Mixture | None:
@@ -141,7 +142,10 @@ class MixtureTuner:
         spent = None
         if self.done in self.fit_at and self.drawn.log_prob.size:
             spent = self._fit(state)
-            if self.done >= self.fit_at[_JUDGED]:
+            if self.done == self.fit_at[_POOR] and self._fits_poorly:
+                self.first, self.walk = self.done + int(_LOCAL_PART * (self.steps - self.done)), (0, 0.0)
+                self._adapt_local(_NO_STAGE, self.first - self.done)
+            elif self.done >= self.fit_at[_JUDGED]:
                 more = self._choose_steps(state)
                 spent = more if spent is None else spent if more is None else spent + more
             self.accepted, self.jumped = np.zeros(self.chains), 0
@@ -195,10 +199,9 @@ class MixtureTuner:
             CurvedMixture.of_arrays(one) if "bends" in one else Mixture.of_arrays(one, lower, upper)
             for one in (stages[str(k)] for k in range(len(stages)))
         ]
-        if self.stages:
-            self._adapt_local(*map(int, state["adapted"]))
-            if self.switched >= 0:
-                self._prefer_local()
+        self._adapt_local(*map(int, state["adapted"]))
+        if self.switched >= 0:
+            self._prefer_local()
         if self.local is not None:
             self.local.restore(state["local"])
         self._take_kernel()
@@ -239,7 +242,7 @@ class MixtureTuner:
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
             with suppress(np.linalg.LinAlgError):
                 walked = fit_to_draws(self.walked, self.chains, self.density, self.sampler.wide or WIDE)
-                mixture = self._better_of(walked, mixture)
+                mixture = local_draws.better_of(walked, mixture, self.walked)
         if mixture is not self.mixture:
             lost, more = find_unknown_maxima(mixture, seen, self.target)
             mixture = add_maxima(mixture, lost)
@@ -252,12 +255,19 @@ class MixtureTuner:
                 self._adapt_local(len(self.stages) - 1, self.steps - self.done)
         return spent
 
-    def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
-        """Return the mixture with the larger effective sample size per draw, judged by the local steps' draws."""
-        u, log_prob, _ = self.walked
-        points = Points(u, log_prob, np.ones(len(u)))
-        shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
-        return one if shares[0] > shares[1] else other
+    @property
+    def _fits_poorly(self) -> bool:
+        """Whether candidates of a single component are poor, and local steps have exact gradients."""
+        mixture, is_first = self.gaussians, not len(self.visited.log_prob)
+        if mixture is None or len(mixture.quadratics) > 1 or self.sampler.bent is not None or not is_first:
+            return False
+        is_exact = self.local_settings.gradient == "exact" and self.target.solves_per_gradient == 1
+        return is_exact and not self._is_unclear and bool((self.accepted / self.jumped).min() < _FAIR)
+
+    @property
+    def _is_unclear(self) -> bool:
+        """Whether there were too few candidates since the last fit, or half of the steps are local by choice."""
+        return self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE)
 
     @property
     def _has_walked(self) -> bool:
@@ -272,12 +282,13 @@ class MixtureTuner:
         since the last fit, or at least half of the steps are local by choice. Return the number of evaluations
         that this took, shape (chains,), or None if it took none.
         """
-        if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
+        if self._is_unclear:
             return None
         rates = self.accepted / self.jumped
         points = self._weighted_candidates()
-        self.is_bent = bool(np.median(rates) < _RARE) or self._is_infinite(points)
-        if self.switched < 0 and (self.is_bent or self._has_heavy_tails(points)) and self._can_learn:
+        self.is_bent = bool(np.median(rates) < _RARE) or local_draws.is_infinite(points, self.density)
+        is_heavy = local_draws.has_heavy_tails(points, self.gaussians, self.visited, self.chains)
+        if self.switched < 0 and (self.is_bent or is_heavy) and self._can_learn:
             return self._learn_curved(state)
         if self.switched < 0 and (rates.min() < _RARE or self.is_bent):
             self._switch()
@@ -303,27 +314,6 @@ class MixtureTuner:
         if self.gaussians is None or self.sampler.bent is not None or not known.any():
             return None
         return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
-
-    def _is_infinite(self, points: Points | None) -> bool:
-        """Return True if the candidates show that the density is infinite at a bound; False without candidates."""
-        if points is None:
-            return False
-        shapes = fit_infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
-        return bool(np.isfinite(shapes).any())
-
-    def _has_heavy_tails(self, points: Points | None) -> bool:
-        """Return True if the density has one maximum and tails too heavy for a good fit by Gaussians.
-
-        The weights P/q of Gaussian candidates are then unbounded, and the standard error of an evidence computed
-        from these weights is wrong. Return False without candidates or without local draws before the first fit.
-        """
-        mixture = self.gaussians
-        if points is None or mixture is None or not len(self.visited.log_prob):
-            return False
-        if groups_of_chains(self.visited.position.reshape(-1, self.chains, self.density.ndim)).any():
-            return False
-        share = points.effective_share(mixture.log_density(points.position))
-        return not share >= _FITS_BADLY and measure_kurtosis(points.under(mixture.warp)[0], points.weight) > _HEAVY
 
     def _learn_curved(self, state: State) -> IntArray:
         """Fit a curved mixture in rounds, starting from the draws of local steps, and use it if it is efficient.
@@ -381,8 +371,15 @@ class MixtureTuner:
         self.counts.append(0)
 
     def _adapt_local(self, stage: int, steps: int) -> None:
-        """Start tuning local steps, adapted to the mixture of a stage, with `steps` remaining steps of warm-up."""
+        """Start tuning local steps, adapted to the mixture of a stage, with `steps` remaining steps of warm-up.
+
+        For `_NO_STAGE`, they are adapted to no mixture, and all of these steps are local.
+        """
         self.adapted = stage, steps
+        if stage == _NO_STAGE:
+            self.local_settings = self.sampler.local_of(self.density)
+            self.local = self.local_settings.tuner(self.density, self.chains, steps)
+            return
         mixture, local = self.stages[stage], self.sampler.local_of(self.density)
         if mixture.gaussians is None and self.sampler.local is None:
             local = Slice()  # gradients of such a density are not informative at a standard deviation's distance
