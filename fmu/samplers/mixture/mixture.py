@@ -45,8 +45,9 @@ class MixtureSampler(Sampler):
     ----------
     components : sequence of Quadratic, or CurvedMixture, optional
         Components from which the fit begins, in scaled units or, if `bent` is given, in the transformed
-        coordinates. `fmu.sample` passes the posterior's maxima with their curvatures. By default the first
-        components are fitted to the draws of local steps, which take up to half of the warm-up. If the density
+        coordinates. `fmu.sample` passes the posterior's maxima with their curvatures. By default, or
+        if a single component turns out to be poor and gradients are exact, components are fitted to the draws of
+        local steps, which take up to half of the remaining warm-up. If the density
         turns out to be curved, hollow or infinite at a bound, warm-up fits a `CurvedMixture` instead.
     weights : vector, optional
         Weights of the components; equal by default. A `CurvedMixture` has its own.
