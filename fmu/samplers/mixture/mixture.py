@@ -45,10 +45,10 @@ class MixtureSampler(Sampler):
     ----------
     components : sequence of Quadratic, or CurvedMixture, optional
         Components from which the fit begins, in scaled units or, if `bent` is given, in the transformed
-        coordinates. `fmu.sample` passes the posterior's maxima with their curvatures. By default, or
-        if a single component turns out to be poor and gradients are exact, components are fitted to the draws of
-        local steps, which take up to half of the remaining warm-up. If the density
-        turns out to be curved, hollow or infinite at a bound, warm-up fits a `CurvedMixture` instead.
+        coordinates. `fmu.sample` passes the posterior's maxima with their curvatures. By default, or if a single
+        component turns out to be poor and gradients are exact, components are fitted to the draws of local steps,
+        which take up to half of the remaining warm-up. If the density turns out to be curved, hollow or infinite
+        at a bound, warm-up fits a `CurvedMixture` instead.
     weights : vector, optional
         Weights of the components; equal by default. A `CurvedMixture` has its own.
     bent : vector of bool, optional
