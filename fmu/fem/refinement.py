@@ -170,7 +170,8 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
         gamma[of] = np.sum(r[:, of] * z[:, of], axis=0)
         p[:, of] = z[:, of] + changed / gamma_before * p[:, of]
         of = of[np.abs(gamma[of]) > _CONVERGED**2 * energy[of]]
-    return _converged(x, len(of), _STEPS)
+    _require_none_left(len(of), _STEPS)
+    return x
 
 
 def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
@@ -194,14 +195,14 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
         is_done = (size <= _CONVERGED) | (~is_better & (last[of] <= np.sqrt(_CONVERGED)))
         last[of] = size
         of = of[~is_done]
-    return _converged(x, len(of), _REFINED)
+    _require_none_left(len(of), _REFINED)
+    return x
 
 
-def _converged(x: FloatArray, left: int, steps: int) -> FloatArray:
-    """Return the solutions x; raise StalledError if some are left that have not converged."""
+def _require_none_left(left: int, steps: int) -> None:
+    """Raise StalledError if solutions are left that have not converged after all steps."""
     if left:
         raise StalledError(f"{whole(left)} solutions have not converged after {whole(steps)} steps")
-    return x
 
 
 def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:

@@ -75,11 +75,12 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     modes, rotated = _displacements(blocks, n_modes, path.name)
     wanted = sorted(set.intersection(*map(set, modes))) if nodes is None else nodes
     missing = next((node for node in wanted for rows in modes if node not in rows), None)
-    if missing in rotated:
-        rule = "displacements along the axes of *TRANSFORM: its *NODE PRINT needs GLOBAL=YES"
-        raise ValueError(f"{path.name} has, for node {missing}, {rule}")
     if missing is not None:
-        raise ValueError(f"{path.name} has no displacement of node {missing}: it must be in a *NODE PRINT with U")
+        why = f"has no displacement of node {missing}: it must be in a *NODE PRINT with U"
+        if missing in rotated:
+            rule = "displacements along the axes of *TRANSFORM: its *NODE PRINT needs GLOBAL=YES"
+            why = f"has, for node {missing}, {rule}"
+        raise ValueError(f"{path.name} {why}")
     return {
         node: np.array([[_number(word, path.name) for word in rows[node]] for rows in modes]) for node in wanted
     }
@@ -114,9 +115,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
     return np.array(found)
 
 
-def _displacements(
-    blocks: Sequence[str], n_modes: int, name: str
-) -> tuple[list[dict[int, list[str]]], set[int | None]]:
+def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> tuple[list[dict[int, list[str]]], set[int]]:
     """Return one dict per mode that maps each node id to its three displacements along global axes, still as text.
 
     Also return the ids of nodes with displacements along axes of their own. Raise ValueError unless there are
@@ -125,7 +124,7 @@ def _displacements(
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")
-    modes, rotated = [], set[int | None]()
+    modes, rotated = [], set[int]()
     for block in blocks:
         rows: dict[int, list[str]] = {}
         reading = False

@@ -178,10 +178,8 @@ def _most_probable(
     of_tests = of_tests[one.scored]
     last, weights = theta[one.centre], of_tests * (theta[widths[0]] / theta[widths]) ** 2
     middle = np.sum(weights * x) / np.sum(weights)
-    low, high = problem.lower[one.centre], problem.upper[one.centre]
-    margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
     centre = np.exp(middle) if one.family.of_logarithm else middle
-    theta[one.centre] = np.clip(centre, low + margin, high - margin)
+    theta[one.centre] = _clip_inside(centre, problem.lower[one.centre], problem.upper[one.centre])
     last, new = (np.log(c) if one.family.of_logarithm else c for c in (last, theta[one.centre]))
     changes = []
     for k in np.unique(widths):
@@ -189,10 +187,14 @@ def _most_probable(
         squares = (x - middle)[here] ** 2, (variance[columns] * spread**2)[here]
         width = np.sqrt(sum(np.mean(of_tests[here] * square) for square in squares))
         width = max(width, _LEAST_SD * problem.start[k])
-        low, high = problem.lower[k], problem.upper[k]
-        margin = 1e-3 * min(high - low, max(width, low)) if np.isfinite(high - low) else 0.0
-        width = np.clip(width, low + margin, high - margin)
+        width = _clip_inside(width, problem.lower[k], problem.upper[k], extent=max(width, problem.lower[k]))
         changes.append(float(max(abs(new - last), abs(width - theta[k])) / width))
         theta[k] = width
     theta[columns] = one.scores_at(one(before)[0], theta[None])[0, one.scored]
     return max(changes)
+
+
+def _clip_inside(x: float, low: float, high: float, extent: float = np.inf) -> float:
+    """Return x, moved away from finite bounds by a thousandth of their distance or, if less, of `extent`."""
+    margin = 1e-3 * min(high - low, extent) if np.isfinite(high - low) else 0.0
+    return float(np.clip(x, low + margin, high - margin))

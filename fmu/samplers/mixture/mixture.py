@@ -171,10 +171,11 @@ class MixtureSampler(Sampler):
         """Return the mixture built from `components`, or None if there are no components."""
         if self.components is None or isinstance(self.components, CurvedMixture):
             return self.components
-        warp, wide = first_warp(density), WIDE if self.wide is None else self.wide
+        wide = WIDE if self.wide is None else self.wide
         if self.bent is not None:  # fitted components are in the coordinates of the warp
             warp = Warp.of_density(density, self.bent)
             return Mixture(self.components, np.asarray(self.weights), warp, wide)
+        warp = first_warp(density)
         components = [warp.quadratic(one) for one in self.components]
         return Mixture(components, np.asarray(self.weights), warp, wide)
 

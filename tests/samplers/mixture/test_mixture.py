@@ -272,9 +272,9 @@ def test_a_mode_that_the_search_missed_joins():
 class LogGamma(Target):
     """Eight independent logarithms of exponential variables: skewed, with their maximum at 0."""
 
-    def __init__(self):
+    def __init__(self, mean=-np.euler_gamma, variance=np.pi**2 / 6):
         super().__init__(8)
-        self.mean, self.covariance = np.full(8, -np.euler_gamma), np.eye(8) * np.pi**2 / 6
+        self.mean, self.covariance = np.full(8, mean), np.eye(8) * variance
         self.unbounded_view()
 
     def value_and_slope(self, x):
@@ -286,6 +286,9 @@ class LogGamma(Target):
 
 class RoundGaussian(LogGamma):
     """Eight independent Gaussian variables."""
+
+    def __init__(self):
+        super().__init__(mean=0.0, variance=1.0)
 
     def value_and_slope(self, x):
         return -0.5 * np.sum(x**2, axis=1), -x

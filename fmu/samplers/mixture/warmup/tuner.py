@@ -45,9 +45,9 @@ _CANDIDATES = 5
 """Largest number of candidates for fitting a curved mixture, per warm-up step and chain."""
 _WORTH = 0.02
 """Efficiency (ESS per candidate) of a curved mixture below which local steps are more efficient."""
-_NO_STAGE = -1
 _CURVED_CYCLE = 1, 79
 """Numbers of local steps and of candidates in each cycle, for a curved mixture."""
+_NO_STAGE = -1  # of local steps that are adapted to no mixture, while none is in use
 
 
 class MixtureTuner:
@@ -84,7 +84,7 @@ class MixtureTuner:
         self.done = 0
         self.first = 0 if sampler.components is not None else max(int(_LOCAL_PART * steps), 1)
         self.target = Target(density)
-        self.stages: list[Mixture | CurvedMixture] = []  # mixture of each fit; the last one is in use
+        self.stages: list[Mixture | CurvedMixture] = []  # mixture of each fit; the last one is in use, if any is
         self.counts: list[int] = []  # evaluated candidates of each mixture
         self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # walked: if local steps prevail
         self.accepted, self.jumped = np.zeros(chains), 0  # sums over candidates since the last fit
@@ -287,8 +287,11 @@ class MixtureTuner:
         rates = self.accepted / self.jumped
         points = self._weighted_candidates()
         self.is_bent = bool(np.median(rates) < _RARE) or local_draws.is_infinite(points, self.density)
-        is_heavy = local_draws.has_heavy_tails(points, self.gaussians, self.visited, self.chains)
-        if self.switched < 0 and (self.is_bent or is_heavy) and self._can_learn:
+        if (
+            self.switched < 0
+            and self._can_learn
+            and (self.is_bent or local_draws.has_heavy_tails(points, self.gaussians, self.visited, self.chains))
+        ):
             return self._learn_curved(state)
         if self.switched < 0 and (rates.min() < _RARE or self.is_bent):
             self._switch()
