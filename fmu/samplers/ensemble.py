@@ -91,7 +91,7 @@ class Ensemble(Sampler):
                 f"walkers: must be at least {2 * density.ndim}, twice the coordinates (got {self.walkers})"
             )
         moves, weights = zip(*self.weighted_moves(density.ndim), strict=True)
-        return EnsembleKernel(_Tally(density), moves, np.array(weights) / sum(weights), np.random.RandomState(0))
+        return EnsembleKernel(_Tally(density), moves, np.array(weights) / sum(weights))
 
     def weighted_moves(self, ndim: int) -> list[tuple[Move, float]]:
         """Return emcee's moves for `ndim` coordinates, with their weights.
@@ -112,15 +112,11 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Kernel of an ensemble sampler. State.position has shape (chains, walkers, ndim); each chain is an ensemble.
-
-    `generator` is seeded anew for every step; making a new one would take ten times as long.
-    """
+    """Kernel of an ensemble sampler. Each chain is an ensemble: State.position is (chains, walkers, ndim)."""
 
     target: _Tally
     moves: tuple[Move, ...]
     weights: FloatArray
-    generator: np.random.RandomState
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting points, at one solve per walker.
@@ -137,7 +133,7 @@ class EnsembleKernel:
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move every walker once; return the new state and the step's diagnostics.
 
-        emcee's generator is seeded from `rng` at every step, so a checkpoint needs only State and `rng`. An
+        emcee draws its numbers from the stream of `rng`, so a checkpoint needs only State and `rng`. An
         ensemble's total number of solves is exact. emcee does not report which walkers caused them, so they are
         assigned to the first walkers.
         """
@@ -161,9 +157,10 @@ class EnsembleKernel:
         from emcee import State as EnsembleState
         from emcee.model import Model
 
-        self.generator.seed(rng.integers(2**32, size=8, dtype=np.uint32))
-        move = self.moves[self.generator.choice(len(self.moves), p=self.weights)]
-        model = Model(self.target, lambda walkers: (self.target(walkers), None), map, self.generator)
+        # a new one in each step keeps no normal draw for the next step, which a checkpoint would miss
+        generator = np.random.RandomState(rng.bit_generator)
+        move = self.moves[generator.choice(len(self.moves), p=self.weights)]
+        model = Model(self.target, lambda walkers: (self.target(walkers), None), map, generator)
         end = move.propose(model, EnsembleState(position, log_prob))[0]
         return end.coords, end.log_prob
 

@@ -22,6 +22,8 @@ CONTENDERS = (
     ("nautilus", PEER, 4000.0, 65_000, -28.32),
 )
 
+WRAPPING = 1.04
+
 
 def cost(n):
     return Cost(cpu_s=n / 10_000, evaluations=n)
@@ -48,7 +50,7 @@ def rows(**changed):
 
 def text(**changed):
     target = Target("garteur", "shape", SimpleNamespace(ndim=11))
-    return page.page(target, rows(**changed), "6 of 6 runs", {"emcee": "3.1.6"})
+    return page.page(target, rows(**changed), WRAPPING, "6 of 6 runs", {"emcee": "3.1.6"})
 
 
 def line_of(text, name):
@@ -65,26 +67,29 @@ def test_page_and_picture_have_every_contender(tmp_path):
 
 
 def test_in_all_counts_search_and_warm_up_and_takes_the_draws_in_proportion():
-    # nutpie: 2000 in 50 000 after 5000; 1000 need half of the draws. nautilus cannot stop earlier
+    # nutpie: 2000 in 50 000 after 5000; 1000 need half of the draws. nautilus cannot stop earlier: 1000 in 65 000
     assert "| 0.04 | 0.033 | 400 | 333 |" in line_of(text(), "nutpie NUTS")
-    assert "| 0.062 | 0.062 | 615 | 615 |" in line_of(text(), "nautilus")
+    assert "| 0.062 | 0.015 | 615 | 154 |" in line_of(text(), "nautilus")
     assert "| 0.5 | 0.14 | 5000 | 1429 |" in line_of(text(), "**fmu mixture**")
 
 
 def test_the_first_line_says_where_a_peer_is_ahead_and_what_would_be_needed():
     first = "**No peer that is right is ahead"
     assert text().splitlines()[2].startswith(first)
-    behind = text(mixture={"draws": cost(50_000)}, hmc={"draws": cost(50_000)}).splitlines()[2]
-    assert behind.startswith("**A peer is ahead, all counted: nautilus per evaluation")
-    assert "would need 3.4 times as many effective draws" in behind  # 1000 in 55 000 against 4000 in 65 000
+    behind = text(mixture={"draws": cost(95_000)}, hmc={"draws": cost(95_000)}).splitlines()[2]
+    assert behind.startswith("**A peer is ahead, all counted: nutpie NUTS per evaluation")
+    assert "would need 3.3 times as many effective draws" in behind  # 1000 in 100 000 against 1000 in 30 000
 
 
 def test_what_was_wanted_is_judged():
-    # 1000 in 7000 against 4000 in 65 000
+    # 1000 in 7000 against 1000 in 30 000
     in_all = "ESS per evaluation, in all"
-    assert line_of(text(), in_all).endswith("| fmu mixture: 0.14 | nautilus: 0.062 | 2.3 × | 2 × | yes |")
-    assert line_of(text(mixture={"draws": cost(4000)}), in_all).endswith("| 1.8 × | 2 × | **no** |")
-    assert "takes 1 times as long as by emcee with the same moves" in text()
+    assert line_of(text(), in_all).endswith("| fmu mixture: 0.14 | nutpie NUTS: 0.033 | 4.3 × | 2 × | yes |")
+    assert line_of(text(mixture={"draws": cost(15_000)}), in_all).endswith("| 1.5 × | 2 × | **no** |")
+    assert "takes 1.04 times as long" in text()
+    assert "wanted: met" in text()
+    assert "1.06 times" in page.overhead(1.06)
+    assert "**missed**" in page.overhead(1.06)
 
 
 @pytest.mark.parametrize(
@@ -115,3 +120,10 @@ def test_the_reference_is_the_peer_with_whom_others_agree_and_not_the_one_with_m
     found = text(**{"emcee, moves of fmu's": off})
     assert line_of(found, "emcee, moves of fmu's").endswith("| **no**: its means are off |")
     assert "| reference | yes |" in line_of(found, "nautilus")
+
+
+def test_a_peer_with_a_log_evidence_is_not_the_reference_where_it_is_off():
+    off = text(nautilus={"mean": [0.1, 0.0], "evidence": (-35.0, 0.004)})
+    assert line_of(off, "nautilus").endswith("| **no**: its means are off |")
+    assert "| reference | yes |" in line_of(off, "nutpie NUTS")
+    assert line_of(off, "**fmu mixture**").endswith("| yes |")  # nothing right is known about the log-evidence

@@ -3,6 +3,7 @@
 import pytest
 
 import fmu
+from tests.benchmarks.peers.ensembles import wrapping
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import BudgetError, Meter
 
@@ -37,3 +38,7 @@ def test_a_run_ends_at_its_largest_number_of_calls(target):
         with pytest.raises(BudgetError):
             limited(theta)
     assert meter.read().evaluations == 14
+
+
+def test_the_wrapping_of_emcee_is_measured_on_equal_walkers_and_steps(target):
+    assert 0.5 < wrapping(target, 0.05) < 3.0

@@ -36,7 +36,7 @@ def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str
     library : str
         The module that the reader imports.
     extra : str
-        The fmu extra that installs the library.
+        The fmu extra that installs the library; empty if no extra does.
 
     Returns
     -------
@@ -49,7 +49,8 @@ def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str
         returns too much.
     """
     if not _is_installed(library):
-        raise RefusedError(f"needs a library that is not installed: pip install 'fmu[{extra}]'")
+        package = f"'fmu[{extra}]'" if extra else library
+        raise RefusedError(f"needs a library that is not installed: pip install {package}")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "arrays.npz"
         command = [

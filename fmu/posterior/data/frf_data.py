@@ -31,6 +31,7 @@ from fmu.posterior.data.frf.peaks import KINDS, Peaks, Receptance, Spectra, pick
 from fmu.types import BoolArray, FloatArray, Plain
 
 FRFKind = Literal["receptance", "mobility", "accelerance", "dynamic-stiffness"]
+_CONVERTED = "The dynamic stiffness of each FRF was converted to its reciprocal, the receptance."
 
 
 @check_arguments
@@ -114,7 +115,7 @@ class FRFData:
             with np.errstate(divide="ignore", invalid="ignore"):
                 sd = None if sd is None else sd / np.abs(values) ** 2
                 values = 1.0 / values
-            notes.append("The dynamic stiffness of each FRF was converted to its reciprocal, the receptance.")
+            notes.append(_CONVERTED)
             object.__setattr__(self, "kind", "receptance")
         missing = ~np.isfinite(values) | (values == 0.0)
         arrays = {"frequencies_hz": frequencies, "values": np.where(missing, np.nan, values), "sd": sd}
@@ -172,7 +173,9 @@ class FRFData:
             If no value has two hits, the hits are equal, or the arguments of the class are invalid.
         """
         mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
-        averaged: FRFKind = "receptance" if kind == "dynamic-stiffness" else kind
+        averaged: FRFKind = kind
+        if kind == "dynamic-stiffness":
+            averaged, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
         return cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
 
     @classmethod

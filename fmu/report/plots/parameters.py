@@ -55,7 +55,7 @@ def plot_parameter_updates(
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
-    noise = inferred_deviations(first)
+    noise = error_parameters(first)
     groups: dict[tuple[str, bool], list[str]] = {}
     for name in names:
         groups.setdefault((style.unit_of(first, name).name, name in noise), []).append(name)
@@ -66,7 +66,7 @@ def plot_parameter_updates(
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
     points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
     values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
-    for axis, ((unit, is_deviation), members) in zip(axes, groups.items(), strict=True):
+    for axis, ((unit, is_of_errors), members) in zip(axes, groups.items(), strict=True):
         _frame(axis, first, members)
         for k, (label, trace) in enumerate(traces.items()):
             x = np.arange(len(members)) + 0.6 * ((k + 0.5) / len(traces) - 0.5)
@@ -80,7 +80,7 @@ def plot_parameter_updates(
             y = [point[name] / style.unit_of(first, name).factor for name in members]
             axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=style.VERMILLION,
                       markeredgecolor=style.BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
-        what = "deviation" if is_deviation else "value"
+        what = "error parameter" if is_of_errors else "value"
         axis.set_ylabel(f"{what} / {style.literal(unit)}" if unit else what, fontsize=style.FONT)
     axes[0].set_title("mean and 90 % interval", fontsize=style.FONT - 1, color=style.GREY, loc="right")
     axes[-1].set_xlabel("parameter", fontsize=style.FONT)
@@ -91,7 +91,7 @@ def plot_parameter_updates(
     return axes
 
 
-def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
+def error_parameters(trace: xr.DataTree) -> frozenset[str]:
     """Return the names of the inferred parameters of the errors of modes.
 
     They are standard deviations, correlations within a model discrepancy and, with `fmu.StudentErrors`, degrees of

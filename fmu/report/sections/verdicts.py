@@ -16,7 +16,7 @@ from fmu.analysis.trace.reading import LOSSES, constant, has, is_loss, mode_name
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
 from fmu.report.document import Verdict
 from fmu.report.plots.frequencies import frequencies_before
-from fmu.report.plots.parameters import inferred_deviations
+from fmu.report.plots.parameters import error_parameters
 from fmu.report.run import ReportedRun
 from fmu.report.sections.fit import model_fit
 from fmu.report.sections.tests import lost
@@ -54,7 +54,7 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
 
     Losses are listed separately, and inferred error sds are not model parameters.
     """
-    left = inferred_deviations(run.trace).union(not_informed(run.trace))
+    left = error_parameters(run.trace).union(not_informed(run.trace))
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
     return tuple(sorted(names, key=lambda name: -abs(_change(run, name))))
 

@@ -24,6 +24,10 @@ from fmu.samplers.settings import describe
 from fmu.types import FloatArray, LogDensity
 
 WARMUP, DRAWS = "warmup", "draws"
+_AT_ONCE = 64
+"""Steps that are recorded together, in a tenth of the time of one at a time."""
+_STATS = {"lp": "log_prob", "accepted": "accepted", "n_solves": "n_solves", "n_gradients": "n_gradients"}
+"""Statistics of every sampler, and the attributes of `Info` that have them."""
 
 
 class RunContext:
@@ -149,16 +153,24 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     began = time.perf_counter()
     record = Record(group.chains, context.sampler.walkers, context.scaled.ndim)
     record.reserve(chunk.steps)
-    done, pace = 0, _Pace()
+    done, pace, taken = 0, _Pace(), list[tuple[FloatArray, Info]]()
+
+    def write() -> None:
+        record.write(done - len(taken), 0, group.as_steps(taken))
+        taken.clear()
+
     while done == 0 or (done < chunk.steps and time.perf_counter() - began < chunk.seconds and not is_asked()):
         info = group.step(chunk.phase)
-        record.write(done, 0, group.as_steps(info))
+        if len(taken) == _AT_ONCE or (taken and info.extra.keys() != taken[0][1].extra.keys()):
+            write()
+        taken.append((group.state.position, info))
         done += 1
         if report is not None:
             words = pace.words(info) | {"solves": group.solves}
             if chunk.label:
                 words["group"] = chunk.label
             report(chunk.phase, group.done[chunk.phase], chunk.total, words)
+    write()
     take = getattr(context.density, "take_failures", list)
     return ChunkResult(record.steps(0, done), group.group_state(), list(take()))
 
@@ -227,21 +239,20 @@ class _GroupRunner:
         self.solves += int(info.n_solves.sum())
         return info
 
-    def as_steps(self, info: Info) -> Steps:
-        """Return the step just taken as `Steps` of length 1, with the statistics in `info`."""
-        named = {
-            "lp": info.log_prob,
-            "accepted": info.accepted,
-            "n_solves": info.n_solves,
-            "n_gradients": info.n_gradients,
-            **info.extra,
-        }
+    def as_steps(self, taken: list[tuple[FloatArray, Info]]) -> Steps:
+        """Return consecutive steps, given the scaled positions and the `Info` after each, as `Steps`."""
+        positions, infos = zip(*taken, strict=True)
+        named = {name: [getattr(info, attribute) for info in infos] for name, attribute in _STATS.items()}
+        named |= {name: [info.extra[name] for info in infos] for name in infos[0].extra}
         chains, walkers = self.chains, self.context.sampler.walkers
-        theta = self.context.scaled.to_theta(self.state.position)
-        lead = info.log_prob.ndim  # a statistic may have further dimensions
+        lead = infos[0].log_prob.ndim  # a statistic may have further dimensions
+        theta = self.context.scaled.to_theta(np.stack(positions, axis=1))
         return Steps(
-            theta.reshape(chains, 1, walkers, -1),
-            {name: value.reshape(chains, 1, walkers, *value.shape[lead:]) for name, value in named.items()},
+            theta.reshape(chains, len(taken), walkers, -1),
+            {
+                name: np.stack(values, axis=1).reshape(chains, len(taken), walkers, *values[0].shape[lead:])
+                for name, values in named.items()
+            },
         )
 
     def group_state(self) -> GroupState:
@@ -276,12 +287,12 @@ class _Pace:
         self._accepted = self._moves = self._solves = 0
 
     def words(self, info: Info) -> dict[str, str | int | float]:
-        self._accepted += int(np.sum(info.accepted))
+        self._accepted += int(np.count_nonzero(info.accepted))
         self._moves += info.accepted.size
-        self._solves += int(np.sum(info.n_solves))
+        self._solves += int(info.n_solves.sum())
         seconds = max(time.perf_counter() - self._began, 1e-9)
         return {
-            "lp": float(np.mean(info.log_prob)),
+            "lp": float(info.log_prob.mean()),
             "accept": self._accepted / self._moves,
             "solves_per_s": self._solves / seconds,
         }

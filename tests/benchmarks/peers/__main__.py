@@ -14,7 +14,7 @@ from collections import defaultdict
 from dataclasses import asdict
 from importlib.metadata import version
 
-from tests.validation.kept import CORE, Units, study_parser
+from tests.validation.kept import CORE, Units, each, study_parser
 
 PEERS = (
     "emcee", "numpyro", "jax", "nutpie", "pints", "nautilus-sampler", "dynesty", "ultranest", "nessai", "pocomc",
@@ -31,7 +31,8 @@ def main() -> int:
         os.sched_setaffinity(0, {cores[(int(os.environ.get(CORE, 0)) - 1) % len(cores)]})
     os.environ["OMP_NUM_THREADS"] = "1"
     # XLA, BLAS and PyTorch count the cores when they are loaded
-    from tests.benchmarks.peers.contenders import POSTERIORS, SEEDS, contenders
+    from tests.benchmarks.peers.contenders import COSTLY, POSTERIORS, SEEDS, contenders
+    from tests.benchmarks.peers.ensembles import wrapping
     from tests.benchmarks.peers.figure import draw
     from tests.benchmarks.peers.page import page
     from tests.benchmarks.peers.posteriors import Target
@@ -42,6 +43,8 @@ def main() -> int:
     everybody = list(contenders(target))
     keyed = [([one.label, seed], (one, seed)) for seed in SEEDS for one in everybody if seed in one.seeds]
     units = Units(asked.kept, asked.minutes)
+    share = COSTLY.get(target.case, 1.0)
+    (overhead,) = units.completed("timings", each(["emcee"]), lambda _: wrapping(target, share))
     found = units.completed("runs", keyed, lambda one: asdict(one[0].run(one[1])))
     runs: dict[tuple[str, str], list[Run]] = defaultdict(list)
     for (_, (one, _)), result in zip(keyed, found, strict=False):
@@ -50,7 +53,7 @@ def main() -> int:
     folder = asked.out / "peers"
     folder.mkdir(parents=True, exist_ok=True)
     draw(rows, str(folder / f"{target.key}.png"))
-    text = page(target, rows, units.counts, {name: version(name) for name in PEERS})
+    text = page(target, rows, overhead, units.counts, {name: version(name) for name in PEERS})
     (folder / f"{target.key}.md").write_text(f"{text}\n![Samplers]({target.key}.png)\n", encoding="utf-8")
     return 0
 

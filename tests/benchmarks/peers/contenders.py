@@ -28,9 +28,9 @@ IN_JAX = ("cantilever-young", "cantilever-section", "shear-10dof", FRAME)
 WITH_NESTED = ("cantilever-young-shape", "cantilever-section-index", "shear-10dof-index", "garteur-shape")
 SEEDS = (1, 2, 3)
 OURS, OURS_LATER = ("mixture", "hmc"), ("mh", "slice", "emcee")
-COSTLY = {"garteur": 0.25, "cantilever-frf": 0.25}
-"""Where a log-probability takes ten times as long: the share of the steps of the peers' chains there, and of the
-effective draws of fmu's samplers."""
+COSTLY = {"garteur": 0.25, "cantilever-frf": 0.25, FRAME: 0.5}
+"""Where runs take ten times as long: the share of the steps of the peers' chains there, and of the effective draws
+of fmu's samplers."""
 FMU, PEER = "fmu", "peer"
 
 
@@ -57,6 +57,11 @@ def contenders(target: Target) -> Iterator[Contender]:
 
     yield from map(ours, OURS)
     warmup, draws = int(1000 * share), int(500 * share)
+    if target.case in IN_JAX:
+        for label, dense in (("NumPyro NUTS", False), ("NumPyro NUTS, dense mass matrix", True)):
+            yield Contender(label, PEER, SEEDS, partial(numpyro_nuts, target, dense, warmup, draws))
+    for label, adaptation in (("nutpie NUTS", "diag"), ("nutpie NUTS, low-rank metric", "low_rank")):
+        yield Contender(label, PEER, SEEDS, partial(nutpie_nuts, target, adaptation, warmup, draws))
     of_walkers = share * ensembles.LEAST_WALKERS / ensembles.walkers_for(target.problem.ndim)
     for label, moves in (
         ("emcee, default moves", ensembles.stretch),
@@ -66,11 +71,6 @@ def contenders(target: Target) -> Iterator[Contender]:
     ):
         run = partial(ensembles.emcee_run, target, moves, int(500 * of_walkers), int(750 * of_walkers))
         yield Contender(label, PEER, SEEDS, run)
-    if target.case in IN_JAX:
-        for label, dense in (("NumPyro NUTS", False), ("NumPyro NUTS, dense mass matrix", True)):
-            yield Contender(label, PEER, SEEDS, partial(numpyro_nuts, target, dense, 1000, 500))
-    for label, adaptation in (("nutpie NUTS", "diag"), ("nutpie NUTS, low-rank metric", "low_rank")):
-        yield Contender(label, PEER, SEEDS, partial(nutpie_nuts, target, adaptation, warmup, draws))
     run = partial(pints_adaptive, target, int(3000 * share), int(9000 * share))
     yield Contender("PINTS adaptive MH", PEER, SEEDS[:1], run)
     yield from map(ours, OURS_LATER)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import fmu
+from fmu.engines.blas import single_thread
 from fmu.types import FloatArray
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
@@ -46,6 +48,56 @@ def mixture(target: Target) -> list[tuple[Any, float]]:
 
     zero, one = np.zeros(target.problem.ndim), target.to_unit(target.problem.upper)
     return [(fmu.MixtureMove(lower=zero, upper=one), 0.8), (emcee.moves.DEMove(), 0.2)]
+
+
+def wrapping(target: Target, share: float) -> float:
+    """Return the processor time of a step of fmu's sampler "emcee" over that of emcee with the same moves.
+
+    Both begin at the same walkers, from a warm-up of emcee, and take turns of as many steps as a run has; the
+    median of five turns. `share` is the share of the usual number of steps.
+    """
+    import emcee
+
+    walkers = walkers_for(target.problem.ndim)
+    of_walkers = share * LEAST_WALKERS / walkers
+    warmup, draws = int(500 * of_walkers), int(1500 * of_walkers)
+    plain = emcee.EnsembleSampler(
+        walkers, target.problem.ndim, lambda u: np.asarray(target.problem.log_prob(target.from_unit(u))),
+        moves=as_fmu(target), vectorize=True,
+    )  # fmt: skip
+    plain.random_state = np.random.RandomState(1).get_state()
+    unit = target.to_unit(target.starts(1, walkers))
+    warm = plain.run_mcmc(unit, warmup).coords
+    maxima = fmu.find_map(target.problem)  # which fmu.sample would search for otherwise
+
+    def by_emcee(turn: int) -> None:
+        plain.reset()
+        plain.run_mcmc(warm, draws)
+
+    def by_fmu(turn: int) -> None:
+        fmu.sample(
+            WithoutModel(target.problem), fmu.Ensemble(walkers), init=target.from_unit(warm)[None], seed=turn,
+            warmup=0, draws=draws, chains=1, maxima=maxima,
+        )  # fmt: skip
+
+    def seconds(run: Callable[[int], None], turn: int) -> float:
+        began = time.process_time()
+        run(turn)
+        return time.process_time() - began
+
+    by_fmu(0)  # imports
+    with single_thread():
+        return float(np.median([seconds(by_fmu, turn) / seconds(by_emcee, turn) for turn in range(1, 6)]))
+
+
+class WithoutModel:
+    """A problem as a log-density alone: `fmu.sample` does not predict, check and leave out after its draws."""
+
+    def __init__(self, problem: Any) -> None:
+        for name in ("ndim", "names", "units", "lower", "upper", "offset", "scale", "solves_per_gradient"):
+            setattr(self, name, getattr(problem, name))
+        self.log_prob, self.log_prob_and_grad = problem.log_prob, problem.log_prob_and_grad
+        self.sample_prior = problem.sample_prior
 
 
 def emcee_run(target: Target, moves: Moves, warmup: int, draws: int, seed: int) -> Run:

@@ -9,23 +9,13 @@ import fmu
 from fmu.analysis.maxima.starts import components, starts_at_maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import make_sampler, plan_steps
-from tests.benchmarks.peers.ensembles import walkers_for
+from tests.benchmarks.peers.ensembles import WithoutModel, walkers_for
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
 CHAINS = 4
 MOST_SOLVES = 300_000
 """Solves after which a run of fmu is ended."""
-
-
-class WithoutModel:
-    """A problem as a log-density alone: `fmu.sample` does not predict, check and leave out after its draws."""
-
-    def __init__(self, problem: Any) -> None:
-        for name in ("ndim", "names", "units", "lower", "upper", "offset", "scale", "solves_per_gradient"):
-            setattr(self, name, getattr(problem, name))
-        self.log_prob, self.log_prob_and_grad = problem.log_prob, problem.log_prob_and_grad
-        self.sample_prior = problem.sample_prior
 
 
 def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
-from fmu.numbers import significant, whole, with_sd
+from fmu.numbers import names_in_words, significant, whole, with_sd
 from fmu.tables import markdown_table
-from tests.benchmarks.peers.contenders import COSTLY, ENOUGH, FMU, OURS, PEER, SEEDS
+from tests.benchmarks.peers.contenders import COSTLY, ENOUGH, OURS, SEEDS
 from tests.benchmarks.peers.nested import MOST_CALLS, MOST_S
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.rows import FAR, GOOD, NEAR_ENOUGH, Row, deviation, doubts, reference
@@ -18,8 +18,7 @@ UNITS = (("evaluations", "evaluation"), ("cpu_s", "second"))
 WANTED = {"shear-10dof": 2.0, "garteur": 2.0, "frame-50": 2.0}
 """How many times the best peer the better of mixture and HMC should be, all counted."""
 MOST_OVERHEAD = 1.05
-"""Time of an evaluation by fmu's sampler "emcee" over that of emcee alone, with the same moves."""
-PLAIN_EMCEE = "emcee, moves of fmu's"
+"""Time of a step of fmu's sampler "emcee" over that of emcee alone, with the same moves."""
 
 TEXT = """Written by `python -m tests.benchmarks.peers --posterior {key} results`. {machine} {done}.
 
@@ -28,8 +27,8 @@ same for all; {seeds} seeds each, of PINTS and the nested samplers one; medians.
 core, and seconds are processor seconds. ESS is the bulk ESS of the worst parameter, of an ensemble by its
 autocorrelation time, of weighted draws Kish's. An *evaluation* is a log-probability inside the bounds; a
 gradient counts as the time that it takes, of the same model and in batches of four. *In all* is a run to
-{enough} effective draws with its search for maxima and its warm-up as they are, and its draws in proportion;
-compilation is not counted.
+{enough} effective draws with its search for maxima and its warm-up as they are, and its draws in proportion; a
+nested sampler cannot stop earlier, so that its run counts as it is. Compilation is not counted.
 
 - **fmu**: as `fmu run --until-ess {enough}` runs each sampler, the search for maxima included.
 - **emcee**: four ensembles of 32 walkers (of 2 n + 2 with more parameters), 16 000 + 24 000 evaluations each;
@@ -40,12 +39,12 @@ compilation is not counted.
 - **PINTS**: its default, four chains of 3000 + 9000 steps.
 - **nautilus, dynesty, UltraNest, nessai, pocoMC**: their defaults on four of the posteriors, on prior and
   likelihood over the unit cube, at most {calls} likelihoods and {minutes} minutes of one core.
-- On {costly}, whose log-probability takes ten times as long, chains of peers have a quarter of these steps,
-  and fmu's samplers run to a quarter of the effective draws.
+- Where runs take ten times as long, chains of peers have a share of these steps, and fmu's samplers run to the
+  same share of the effective draws: {costly}.
 - *Means, se*: how far the means are from those of the reference, in standard errors, the largest over the
-  parameters; the reference is the peer with whose means most others agree, one with a log-evidence if there is
-  one. emcee's snooker move (up to version 3.1.6) accepts by another factor than that of its authors, ter Braak &
-  Vrugt (2008).
+  parameters; the reference is the peer with whose means most others agree, of several one with a log-evidence,
+  and then the one with most effective draws. emcee's snooker move (up to version 3.1.6) accepts by another
+  factor than that of its authors, ter Braak & Vrugt (2008).
 - *Right*: the run has ended by itself (fmu's: its verdict is good), its chains agree (R-hat below {good}), its
   means are within {far} standard errors, and its log-evidence within {far} of the best peer's, or within {near}.
 
@@ -53,17 +52,21 @@ Versions: {versions}.
 """
 
 
-def page(target: Target, rows: list[Row], done: str, versions: Mapping[str, str]) -> str:
-    """Return the page of a posterior, without its picture."""
+def page(target: Target, rows: list[Row], wrapping: float, done: str, versions: Mapping[str, str]) -> str:
+    """Return the page of a posterior, without its picture.
+
+    `wrapping` is the time of a step of fmu's sampler "emcee" over that of emcee with the same moves.
+    """
     rows = sorted(rows, key=lambda row: -np.nan_to_num(row.per("evaluations", True)))
     text = TEXT.format(
         key=target.key, parameters=target.problem.ndim, title=target.title, done=done, machine=machine(),
         seeds=len(SEEDS), enough=whole(ENOUGH), calls=whole(MOST_CALLS), minutes=whole(MOST_S / 60.0),
-        costly=" and ".join(COSTLY), good=significant(GOOD, 3), far=whole(FAR), near=significant(NEAR_ENOUGH),
+        costly=names_in_words([f"{case} {significant(share)}" for case, share in COSTLY.items()]),
+        good=significant(GOOD, 3), far=whole(FAR), near=significant(NEAR_ENOUGH),
         versions=", ".join(f"{name} {version}" for name, version in versions.items()),
     )  # fmt: skip
     parts = [f"# Samplers and their peers: {target.title}\n", first_line(rows), text, comparison(target, rows)]
-    return "\n".join([*parts, *overhead(rows), table(rows)])
+    return "\n".join([*parts, overhead(wrapping), table(rows)])
 
 
 def best(rows: list[Row], unit: str, whole_run: bool) -> tuple[Row, Row] | None:
@@ -118,16 +121,13 @@ def comparison(target: Target, rows: list[Row]) -> str:
     )
 
 
-def overhead(rows: list[Row]) -> Iterator[str]:
-    """Say what fmu's wrapping of emcee costs: seconds of an evaluation over those of emcee alone."""
-    by_label = {(row.whose, row.label): row for row in rows}
-    pair = by_label.get((FMU, "emcee")), by_label.get((PEER, PLAIN_EMCEE))
-    if pair[0] is not None and pair[1] is not None:
-        ours, plain = (row.median(lambda run: run.draws.cpu_s / run.draws.evaluations) for row in pair if row)
-        yield (
-            f"An evaluation by fmu's sampler *emcee* takes {significant(ours / plain, 3)} times as long as by "
-            f"emcee with the same moves (at most {significant(MOST_OVERHEAD, 3)} wanted).\n"
-        )
+def overhead(wrapping: float) -> str:
+    """Return a sentence on the cost of fmu's wrapping of emcee."""
+    met = "met" if wrapping <= MOST_OVERHEAD else "**missed**"
+    return (
+        f"A step of fmu's sampler *emcee* takes {significant(wrapping, 3)} times as long as a step of emcee with "
+        f"the same moves, from the same walkers (at most {significant(MOST_OVERHEAD, 3)} wanted: {met}).\n"
+    )
 
 
 def table(rows: list[Row]) -> str:

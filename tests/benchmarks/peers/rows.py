@@ -71,13 +71,15 @@ class Row:
         ----------
         unit : {"evaluations", "cpu_s"}
         whole_run : bool
-            With the search and the warm-up as they are, and the draws in proportion. Of a nested sampler all that
-            it did counts both times, as it cannot stop earlier.
+            With the search and the warm-up as they are, and the draws in proportion. A nested sampler cannot stop
+            earlier, so its run counts as it is, with at most `ENOUGH` of its effective draws.
         """
 
         def figure(run: Run) -> float:
             draws, before = getattr(run.draws, unit), getattr(run.search + run.warmup, unit)
-            return ENOUGH / (before + draws * ENOUGH / run.ess) if whole_run and before else run.ess / draws
+            if not whole_run:
+                return run.ess / draws
+            return ENOUGH / (before + draws * ENOUGH / run.ess) if before else min(run.ess, ENOUGH) / draws
 
         return self.median(figure)
 
@@ -98,16 +100,15 @@ class Row:
 def reference(rows: Sequence[Row]) -> Row:
     """Return the peer with whose means most others agree, of those that ended and whose chains agree.
 
-    Of several the one with most effective draws: emcee's snooker move has many, and is off where all others agree.
-    Peers with a log-evidence come first: all chains may agree on a maximum of no weight.
+    Of several the one with a log-evidence, and then with most effective draws: emcee's snooker move has many, and
+    is off where all others agree.
     """
     peers = [row for row in rows if not row.ours] or rows  # where no peer has run yet
     good = [row for row in peers if row.ended and not row.rhat > GOOD] or peers
-    good = [row for row in good if row.evidence() is not None] or good
 
-    def support(row: Row) -> tuple[int, float]:
+    def support(row: Row) -> tuple[int, bool, float]:
         agreeing = sum(_distance(row, other) < FAR for other in good)
-        return agreeing, sum(run.ess for run in row.runs)
+        return agreeing, row.evidence() is not None, sum(run.ess for run in row.runs)
 
     return max(good, key=support)
 
@@ -123,8 +124,8 @@ def _distance(row: Row, other: Row) -> float:
 
 
 def evidence_of_reference(rows: Sequence[Row]) -> tuple[float, float] | None:
-    """Return the log-evidence of the peer with most effective draws that has one."""
-    having = [row for row in rows if row.evidence() is not None]
+    """Return the log-evidence of the peer with most effective draws that has one and whose means are right."""
+    having = [row for row in rows if row.evidence() is not None and deviation(row, rows) < FAR]
     peers = [row for row in having if not row.ours and row.ended]
     return max(peers, key=Row.ess).evidence() if peers else None
 

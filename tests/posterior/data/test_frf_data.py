@@ -70,6 +70,8 @@ def test_a_dynamic_stiffness_is_converted():
     hits = H * (1.0 + 0.01 * np.arange(3)[:, None, None])
     mean = fmu.FRFData.from_hits(F, hits, **PAIRS, kind="dynamic-stiffness")
     np.testing.assert_allclose(mean.values, np.mean(1.0 / hits, axis=0), rtol=1e-14)
+    for converted in (data, mean):
+        assert any("converted to its reciprocal" in note for note in converted.notes)
 
 
 def test_coherence_gives_the_standard_deviation():

@@ -47,13 +47,13 @@ def test_parameters_of_each_unit_have_their_axes(hostile_traces):
     assert [len(axis.get_xticklabels()) for axis in axes] == [1, 1]
 
 
-def test_inferred_deviations_have_their_own_axes(beam_traces):
+def test_inferred_error_parameters_have_their_own_axes(beam_traces):
     trace = beam_traces["hmc"].copy()
     configuration = json.loads(trace.attrs["configuration"])
     configuration["problem"]["likelihood"]["noise"] = ["E5"]
     trace.attrs["configuration"] = json.dumps(configuration)
     axes = plots.plot_parameter_updates({"hmc": trace})
-    assert [axis.get_ylabel() for axis in axes] == ["value / GPa", "deviation / GPa"]
+    assert [axis.get_ylabel() for axis in axes] == ["value / GPa", "error parameter / GPa"]
     assert [len(axis.get_xticklabels()) for axis in axes] == [4, 1]
 
 
