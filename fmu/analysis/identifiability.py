@@ -260,7 +260,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return the results stored by `with_identifiability`, keyed by point name; empty if there are none."""
+    """Return the results stored by `with_identifiability`, keyed by point name; empty if nothing is stored."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()

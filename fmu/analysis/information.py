@@ -51,8 +51,8 @@ class Information:
     ----------
     names : tuple of str
     contraction : ndarray, shape (ndim,)
-        1 − the ratio of posterior to prior variance (Betancourt 2018, "Towards a principled Bayesian workflow"),
-        of the logarithm where `of_logarithm` is True.
+        1 − the ratio of posterior to prior variance (Betancourt 2018, "Towards a principled Bayesian workflow").
+        Where `of_logarithm` is True, both are variances of the logarithm.
     of_logarithm : tuple of bool
         Whether the prior of each parameter is log-normal.
     informed : ndarray of bool, shape (ndim,)
@@ -155,10 +155,11 @@ def information(trace: xr.DataTree) -> Information | None:
     Contraction is 1 minus the ratio of posterior to prior variance. Parameters, and the principal directions of
     the draws, are not informed by the data if their contraction is below 0.3 (`CONTRACTED`). Draws in separate
     narrow peaks have a large variance but are informed. A parameter or direction therefore counts as uninformed
-    only if the entropy of its draws also matches a wide distribution.
+    only if the entropy of its draws is also that of a wide distribution.
 
-    A parameter is determined only in a combination in two cases: if it is not informed, or if the uninformed
-    directions leave it at least 0.3 of its prior variance. It must not itself be an uninformed direction.
+    A parameter counts as determined only in a combination if it is not informed, or if the uninformed directions
+    leave it at least 0.3 of its prior variance. The exception is a parameter that is itself nearly an uninformed
+    direction: the data or the prior alone determine it.
 
     Parameters
     ----------
@@ -215,10 +216,10 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 
 
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
-    """Return a sentence on the two parameters that the data separate least; empty if the data confuse none.
+    """Return a sentence on the two parameters that the data separate least, or "" if they confuse no parameters.
 
-    It is based on the draws, by the criterion of `information`. If this has no result, as without draws from the
-    prior, it is based on the linearised model.
+    The sentence is based on the draws and on the criterion of `information`. If `information` returns None, for
+    example because the trace has no draws from the prior, the sentence is based on the linearised model.
     """
     if information(trace) is None:
         pair = hardest_pair(linearised, linearised.covariance)
@@ -232,8 +233,8 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
 def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
     """Return the combination that the data determine for each set of parameters that they cannot separate.
 
-    The sets are the dict's keys and follow from the linearised model stored in the trace. The dict is empty if the
-    trace stores none.
+    The sets are the dict's keys and follow from the linearised model stored in the trace. A combination without a
+    simple form is an empty string. The dict is empty if the trace stores no linearised model.
     """
     kept = kept_identifiability(trace)
     if not kept:
@@ -324,8 +325,8 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
 
     The draws, (n, ndim), are distances from the prior mean in prior standard deviations. The logarithm is used for
     a log-normal prior. Normal scores are not used, because they stretch the range next to a bound where the prior
-    density is positive: draws confined to the 1 % of the range at the bound would have 35 % of the prior's
-    standard deviation.
+    density is positive: if the prior is uniform, draws spread evenly over the 1 % of the range at the bound would
+    have 31 % of the prior's standard deviation.
     """
     names = parameter_names(trace)
     x = parameter_draws(trace).reshape(-1, len(names))

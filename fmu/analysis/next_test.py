@@ -47,21 +47,22 @@ def predict_tests(
 ) -> pd.DataFrame:
     """Compare new tests of a structure with the posterior prediction of the next test.
 
-    Each new test is compared with the earlier tests only, not with the other new tests. It follows the last
-    earlier test in order. If values are correlated in time, its covariates must give its time.
+    Each new test is compared with the earlier tests only, not with the other new tests. If values are correlated
+    in time, the new test must have the covariate that serves as time. If test numbers serve as time, the new test
+    follows the last earlier test.
 
     The next test is simulated at n posterior draws: its scores are drawn from the populations, it has the
     covariates and the group of the new test, and measurement errors are added. The statistic is the squared
     Mahalanobis distance D² = (y − ȳ)ᵀ S⁻¹ (y − ȳ) of the frequencies that the new test has. The mean ȳ and the
-    covariance S are those of the n simulated tests and the new one together, and p is the rank of the new test
-    among all n + 1. If the new test is from the population, all ranks are equally probable, and p ≤ α has the
-    probability α, averaged over campaigns and new tests.
+    covariance S are those of the n simulated tests and the new one together, and p is the fraction of these n + 1
+    tests whose D² is at least that of the new test. If the new test is from the population, all its ranks by D²
+    are equally probable, and p ≤ α has the probability α, averaged over campaigns and new tests.
 
     If only the score of parameter j departs, the frequencies change in the direction aⱼ, the regression of the
-    simulated frequencies on the scores. With the residual r = y − ȳ, the shift that fits best is aⱼᵀS⁻¹r /
-    aⱼᵀS⁻¹aⱼ. It explains the part tⱼ² = (aⱼᵀS⁻¹r)² / aⱼᵀS⁻¹aⱼ of D², a generalised likelihood ratio (Kay 1998,
-    *Fundamentals of Statistical Signal Processing: Detection Theory*, sec. 6.4). If no score departs, tⱼ has mean
-    0 and standard deviation 1.
+    simulated frequencies on the scores. Let now ȳ and S be the mean and covariance of the simulated tests alone.
+    With the residual r = y − ȳ, the shift that fits best is aⱼᵀS⁻¹r / aⱼᵀS⁻¹aⱼ. It explains the part
+    tⱼ² = (aⱼᵀS⁻¹r)² / aⱼᵀS⁻¹aⱼ of rᵀS⁻¹r, a generalised likelihood ratio (Kay 1998, *Fundamentals of Statistical
+    Signal Processing: Detection Theory*, sec. 6.4). If no score departs, tⱼ has mean 0 and standard deviation 1.
 
     Parameters
     ----------
@@ -74,11 +75,12 @@ def predict_tests(
         errors, masses, springs and known parameters are taken from a test of the problem; see `like`.
     like : str, optional
         Name of the problem's test whose configuration and errors the new tests have. Default: the first test that
-        has all modes of the new test and, if a parameter varies between groups, the same group. Its masses,
-        springs and known parameters must then be shared by all tests of the group. The value of at least one
-        parameter with a population must be unknown in it.
+        has all modes of the new test and, if a parameter varies between groups, the same group. All tests, or all
+        tests of this group, must then share its masses, springs and known parameters. In the test `like`, the
+        value of at least one parameter with a population must be unknown.
     draws : int
-        Largest number of draws used, evenly spaced over the trace. The model is solved at each of them.
+        Largest number of draws used, evenly spaced over the trace. The model is solved at each of them. Draws at
+        which it has no solution are left out.
 
     Returns
     -------
@@ -102,8 +104,8 @@ def predict_tests(
     TestsError
         If the new tests do not fit the problem; the error lists every fault.
     ValueError
-        If the problem has no population, it has no frequency errors, the trace belongs to another problem, or it
-        has fewer than ten draws for each mode of a new test.
+        If the problem has no population or no frequency errors, if the trace belongs to another problem, or if
+        fewer than ten draws for each mode of a new test are used.
     """
     check_trace(trace)
     if parameter_names(trace) != problem.names:

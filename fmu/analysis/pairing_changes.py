@@ -47,7 +47,7 @@ class PairingChanges:
     labels : tuple of str
         Labels of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
-        Fraction of all draws in which two measured modes are in the reverse of their order before updating.
+        Fraction of all draws in which the order of two measured modes is the reverse of that before updating.
     rule : {"shape", "index", "soft"} or None
         How modes are paired; None if the trace does not store the pairing. `changed` is then NaN, and `project`
         and `jumps` are 0.
@@ -80,8 +80,9 @@ class PairingChanges:
 
         The columns are ``swapped_percent``, the largest fraction of draws in which the order with another mode is
         reversed, in %; ``swapped_with``, the labels of all modes whose order with it is reversed in any draw;
-        ``other_mode_percent``, the fraction of draws with another computed mode, in %; and ``closest_percent``,
-        the smallest distance in frequency to another mode, in %.
+        ``other_mode_percent``, the fraction of draws, in %, in which it is paired with another computed mode than
+        in the most probable draw; and ``closest_percent``, the smallest distance in frequency to another mode,
+        in %. A dash in ``swapped_with`` means that no order is reversed.
         """
         return data_frame(
             {
@@ -217,10 +218,12 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
 def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     """Return the trace with a group that stores the paired computed modes.
 
-    The trace is unchanged if the model is not a structure. The group has ``block`` and ``rank`` (sample, mode),
-    small integers, at about `MOST_DRAWS` draws given by ``chain`` and ``draw``; and ``gap``, the relative distance
-    in frequency to the nearest other computed mode. If the pairing is constant by construction, only one draw is
-    stored, without the gap, at the cost of one solve. Otherwise each distinct draw costs two solves.
+    The trace is unchanged if the model is not a structure. The group has ``block`` and ``rank`` (sample, mode):
+    the block of the computed mode paired with each measured mode, and its number within the block. The samples are
+    the most probable draw and at most `MOST_DRAWS` draws, which ``chain`` and ``draw`` identify. ``gap`` (sample,
+    mode) is the relative distance in frequency to the nearest other computed mode. If the pairing is constant by
+    construction, only one draw is stored, without the gap, at the cost of one solve. Otherwise each
+    distinct draw costs two solves.
     """
     import xarray as xr
 

@@ -73,7 +73,8 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
     """Return the p-value of each statistic under random order, adjusted for the number of statistics, (k,).
 
-    It is the fraction of orders, the actual one included, whose largest statistic is at least as large.
+    The p-value is the fraction of orders, the actual one included, in which the largest of all statistics is at
+    least as large as this statistic is in the actual order.
 
     Parameters
     ----------
@@ -88,8 +89,8 @@ def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
 def improbability(r_squared: FloatArray, n: FloatArray, k: int = 1) -> FloatArray:
     """Return −log P(R² ≥ r²), where R² is the squared multiple correlation of n Gaussian values with k regressors.
 
-    This common effect-size scale puts different statistics side by side. R² follows a beta distribution with
-    parameters k/2 and (n − 1 − k)/2.
+    Different statistics can be compared on this scale. R² follows a beta distribution with parameters k/2 and
+    (n − 1 − k)/2. The result is at most 691, since smaller probabilities are replaced by 1e-300.
     """
     left = np.maximum(0.5 * (n - 1.0 - k), 0.5)
     return np.asarray(-np.log(np.maximum(betainc(left, 0.5 * k, np.clip(1.0 - r_squared, 0.0, 1.0)), _TINY)))
@@ -160,8 +161,8 @@ class Bends:
     Attributes
     ----------
     places : ndarray, shape (n_places,)
-        Values of x from its 15 % to its 85 % quantile with at least four tests on either side; empty if there are
-        none.
+        At most 15 values of x from its 15 % to its 85 % quantile. At least four tests lie on either side of each
+        value. The array is empty if no value qualifies.
     """
 
     def __init__(self, x: FloatArray) -> None:
@@ -189,7 +190,10 @@ class Bends:
         return np.asarray(np.einsum("...nm,nc->...mc", z, self._bent) ** 2 / left[..., None])
 
     def largest(self, z: FloatArray, present: BoolArray) -> FloatArray:
-        """Return the largest of `shares` over all places, shape (n_orders, m); `present` is not used."""
+        """Return the largest of `shares` over all places, shape (n_orders, m); `present` is not used.
+
+        There must be at least one place.
+        """
         return np.asarray(self.shares(z).max(axis=-1))
 
 

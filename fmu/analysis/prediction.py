@@ -36,10 +36,10 @@ class Expectation(NamedTuple):
     Attributes
     ----------
     value : float, or ndarray of shape (k,)
-        Mean of G over the retained draws, eq. (11).
+        Mean over the retained draws of the function G given to `expectation`, eq. (11).
     mcse : float, or ndarray of shape (k,)
-        Monte-Carlo standard error of `value`; NaN if G is the same at every draw, or if there are fewer than four
-        draws.
+        Monte-Carlo standard error of `value`; NaN if G is the same at every draw, if a stored value is not finite,
+        or if the chains have fewer than four draws each.
     """
 
     value: float | FloatArray
@@ -94,15 +94,18 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     Returns
     -------
     pandas.DataFrame
-        One row per mode, Hz, with 90 in the names of the columns replaced by another `ci_prob` in %:
+        One row per mode, in Hz. The names of the columns are given for `ci_prob` 0.9; another value in % replaces
+        the 90 in them:
 
         - ``measured``: the measured frequency;
         - ``mean``, its standard error ``mcse_mean``, ``sd``, ``eti90_lb`` and ``eti90_ub``: mean, standard
           deviation and interval of the computed frequency, without measurement noise;
-        - ``noisy_sd``, ``noisy_eti90_lb``, ``noisy_eti90_ub``: the same for a new measurement, with noise; missing
-          without an error model of frequencies, as for the modal residual. If the measured frequency is the mean
-          of repeated tests, a new measurement is the mean of as many tests;
-        - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test, for repeated tests.
+        - ``noisy_sd``, ``noisy_eti90_lb``, ``noisy_eti90_ub``: standard deviation and interval of a new
+          measurement, with noise and any model discrepancy. The columns are missing without an error model of
+          frequencies, as for the modal residual. If the measured frequency is the mean of repeated tests, the new
+          measurement is the mean of the same number of tests;
+        - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test. The columns exist only for repeated
+          tests.
 
     Raises
     ------
@@ -135,7 +138,10 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 
 
 def noise_sd(trace: xr.DataTree, mode: str) -> float:
-    """Return the standard deviation of a mode's simulated measurement errors at the draws, Hz; 0 without them."""
+    """Return the standard deviation of a mode's simulated errors at the draws, Hz, or 0 if none were simulated.
+
+    The errors are measurement errors and any model discrepancy.
+    """
     if not has(trace, "posterior_predictive", "frequency"):
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)

@@ -34,13 +34,15 @@ class Repeatability:
     n : ndarray, shape (n_modes,)
         Number of tests that found each mode.
     autocorrelation : ndarray, shape (n_modes,)
-        Lag-1 autocorrelation r_1 of the frequencies that consecutive tests measured.
+        Lag-1 autocorrelation r_1 of the frequencies that consecutive tests measured; 0 if all are equal.
     trend : ndarray, shape (n_modes,)
-        Correlation of the frequency with the number of the test.
+        Correlation of the frequency with the number of the test; 0 if all frequencies are equal.
     drift : ndarray, shape (n_modes,)
         Change from first to last test along the least-squares line, relative to the mean.
-    resembles, drifts : ndarray of bool, shape (n_modes,)
-        Whether each mode's autocorrelation, and its trend, are too large for independent tests.
+    resembles : ndarray of bool, shape (n_modes,)
+        Whether each mode's autocorrelation is too large for independent tests.
+    drifts : ndarray of bool, shape (n_modes,)
+        Whether each mode's trend is too large, in either direction, for independent tests.
     all_resemble : bool
         Whether the mean autocorrelation over all modes is too large for independent tests.
     """

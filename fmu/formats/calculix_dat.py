@@ -61,13 +61,14 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     n_modes : int
         Number of modes in the step; see `read_frequencies`.
     nodes : collection of int, optional
-        Node ids to read. Defaults to all nodes that are printed in every mode.
+        Node ids to read. Defaults to all nodes whose displacements are printed along global axes in every mode.
 
     Raises
     ------
     ValueError
         If the file does not exist, is too large or has no eigenvalues, if its last step does not have `n_modes`
-        shapes, if a mode lacks a node, or if there is a word where a number is expected.
+        shapes, if a mode has no displacements of a node along global axes, or if there is a word where a number is
+        expected.
     """
     text = _last_step(path)
     begins = [match.start() for match in _MODE.finditer(text)]

@@ -1,4 +1,4 @@
-"""Importance-sampling proposals for posteriors that differ in one mode: Gaussians at the maxima, and the prior."""
+"""Importance-sampling proposals for posteriors with and without a measured mode: Gaussians, and the prior."""
 
 from __future__ import annotations
 
@@ -84,7 +84,8 @@ class PriorCandidates:
 def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
     """Divide weighted draws u (n, ndim) into groups by k-means, and return a Gaussian fitted to each group.
 
-    Groups with too few distinct draws are left out. The list is empty if there are too few for two groups.
+    There are at most eight groups. Groups with too few distinct draws are left out. The list is empty if the
+    distinct draws are too few for two groups.
     """
     from scipy.cluster.vq import kmeans2
 

@@ -66,12 +66,12 @@ _BEFORE_A_RUN = 24_000
 def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) -> pd.DataFrame:
     """Compare each measured mode with its prediction from the other modes.
 
-    A mode used in updating is predicted by the posterior without this mode. A mode that was not used is predicted
-    by the posterior itself. The posterior without a mode comes from updating without it
-    (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k for the evidences with and without
-    it. `fmu.sample` does this and stores the table in the trace, unless it would take more than half the solves of
-    the draws and more than about five seconds. The draws are then reweighted instead (PSIS, Vehtari, Gelman &
-    Gabry 2017), if the Pareto k of the weights is low.
+    A mode used in updating is predicted by the posterior without this mode, and any other mode by the posterior
+    itself. The posterior without mode k comes from updating without it (`fmu.analysis.held_out.refit`). Its elpd
+    is log p(y_k | y_-k) = log Z - log Z_-k, with the evidences Z with the mode and Z_-k without it. `fmu.sample`
+    stores the table in the trace. It updates without modes if there are 400 or more draws, the model has
+    derivatives, and half the solves of the draws or about five seconds suffice. Otherwise it reweights the draws
+    (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto k of the weights is low.
 
     Parameters
     ----------
@@ -90,11 +90,11 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
 
         - ``measured``: the measured frequency, Hz;
         - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and 90 % interval ends of the
-          measurement predicted from the other modes, noise included, Hz. In ``sd``, a Gaussian with the same
-          central 95 % interval stands for an error with Student's distribution, whose variance may be infinite;
+          measurement predicted from the other modes, noise included, Hz. For ``sd``, a Student's t error, whose
+          variance may be infinite, is replaced by a Gaussian error with the same central 95 % interval;
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
-        - ``freedom``: degrees of freedom of `fmu.StudentErrors`, or of the error of a mean of repeated tests; the
-          harmonic mean of inferred ones; infinite for Gaussian errors;
+        - ``freedom``: degrees of freedom of `fmu.StudentErrors`, or of the error of a mean of repeated tests (if
+          inferred, their harmonic mean over the draws); infinite for Gaussian errors, or if not computed;
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz; NaN if not computed;
         - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;
@@ -120,7 +120,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
 
 
 def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return the `leave_one_out` table stored in a trace, or None if it stores none."""
+    """Return the `leave_one_out` table stored in a trace, or None if the trace has no table."""
     if not has(trace, GROUP):
         return None
     kept = trace[GROUP]
@@ -136,12 +136,12 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     problem : UpdatingProblem
         The problem that was sampled.
     most : float, optional
-        Largest number of solves for updating without modes. For 400 or more draws of a model with derivatives, it
-        defaults to half the solves of the draws or the number that takes five seconds, whichever is larger;
-        otherwise it is 0. Beyond this limit, modes with unreliable weights are refitted if one refit takes at most
-        2.5 seconds, as many of them as 15 seconds permit. With ``inf``, every mode whose refit is unreliable gets
-        a separate run. A hierarchical posterior has too many parameters for refits: `most`, by default half the
-        solves of the draws, limits the solves of all tests by which scores are integrated out.
+        Approximate limit on the solves for updating without modes. For 400 or more draws of a model with
+        derivatives, it defaults to half the solves of the draws or the number that takes five seconds, whichever
+        is larger. If a refit takes at most 2.5 seconds, this default also allows 15 more seconds of refits of
+        modes with unreliable weights. In other cases the default is 0. With ``inf``, every mode whose refit is
+        unreliable gets a separate run. A hierarchical posterior has too many parameters for refits. Instead, the
+        scores are integrated out, and `most`, by default half the solves of the draws, limits the solves for this.
     """
     import xarray as xr
 
@@ -198,7 +198,7 @@ class _Known:
     rows : dict of int to (int, HeldOut)
         The limit on solves and the prediction obtained with it, keyed by mode index.
     approximation : Approximation or None
-        Gaussians that approximate the posterior with all modes; None before it was needed.
+        Gaussians that approximate the posterior with all modes; None until they are first needed.
     is_gaussian : bool
         False if the common candidates did not cover the posterior with all modes. Separate Gaussian candidates for
         each mode are then not tried if a run can replace them.
@@ -217,12 +217,12 @@ def _known_of(problem: UpdatingProblem) -> _Known:
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Predict each mode from its leave-one-out posterior, with at most `most` solves per mode.
+    """Predict each mode from its leave-one-out posterior; return the reliable predictions, keyed by mode index.
 
-    Return the predictions keyed by mode index. One set of candidates is first used for all modes. Modes that it
-    does not cover well get candidates of their own. Unreliable predictions are left out. There are none if `most`
-    is less than `SOLVES`, or if the posterior is a funnel, because Gaussians are poor candidates there. Results
-    are cached with the problem and do not depend on the draws, so one computation serves all samplers.
+    One set of candidates is first used for all modes, whatever `most` is. Each mode that these candidates do not
+    cover well then gets up to `most` candidates of its own. The dict is empty if `most` is less than `SOLVES`, or
+    if the posterior is a funnel, because Gaussians are poor candidates there. Results are cached with the problem
+    and do not depend on the draws, so one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES and not is_in_funnel(problem):
@@ -245,10 +245,10 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int], near: FloatArray) -> dict[int, HeldOut]:
-    """Predict each mode from separate draws of its leave-one-out posterior; key the predictions by mode index.
+    """Predict each mode from separate draws of its leave-one-out posterior; return a dict keyed by mode index.
 
-    Unreliable predictions are left out. The chains start from `near` (n, ndim), SI units, which are draws from the
-    posterior with all modes.
+    Unreliable predictions are left out. `near` (n, ndim), SI units, contains draws from the posterior with all
+    modes, from which walkers start (`draws_without`).
     """
     found = {}
     with phase("runs without a mode", len(modes)) as under_way:
@@ -325,8 +325,8 @@ def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers:
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
     """Predict several modes from their leave-one-out posteriors, using the same candidates for all of them.
 
-    Return the limit on solves and the prediction, keyed by mode index. Modes whose leave-one-out posterior is not
-    covered well are left out, and so are all if there are fewer than two modes or the pairing is soft.
+    Return the limit on solves and the prediction, keyed by mode index. The dict lacks modes whose prediction or
+    elpd is unreliable. It is empty if there are fewer than two modes or the pairing is soft.
     """
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
@@ -340,7 +340,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Predict mode `k` by importance sampling with and without it; use at most `most` draws, or a cached row."""
+    """Predict mode `k` by importance sampling with at most `most` draws; reuse a cached row if it suffices."""
     known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]

@@ -77,10 +77,11 @@ def draws_without(without: UpdatingProblem, near: FloatArray, seed: int) -> Floa
 def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> FloatArray | None:
     """Return independent draws from a posterior, (n, ndim), SI units, or None if their weights are not reliable.
 
-    Walkers start at `near`, draws from the posterior with the mode, and spread over the posterior without it.
-    Candidates come from a mixture that is fitted first to the walkers and then, in rounds, to the candidates.
-    Parameters with log-normal priors are replaced by their logarithms, whose posterior is less skewed. Once the
-    Pareto k of the weights is low and their ESS at least 400, as many draws are resampled from the candidates.
+    Walkers start at some of the rows of `near`, which are draws from the posterior with the mode, and spread over
+    the posterior without it. Candidates come from a mixture that is fitted first to the walkers and then, in
+    rounds, to the candidates. Parameters with log-normal priors are replaced by their logarithms, whose posterior
+    is less skewed. Once the Pareto k of the weights is low and their ESS is at least 400, draws are resampled from
+    the candidates; the number of draws equals the ESS.
     """
     density = LogarithmicDensity(without)
     rounds, u = Rounds(Target(density)), density.to_scaled(near[rng.choice(len(near), _WALKERS)])
@@ -98,7 +99,7 @@ def _by_rounds(without: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 
 
 def _lacks_a_maximum(maxima: Maxima, scaled: ScaledDensity, theta: FloatArray) -> bool:
-    """Return True if an important maximum lies outside the ellipsoid of nearly all draws theta (n, ndim)."""
+    """Return True if an important maximum is outside the ellipsoid that holds nearly all draws theta (n, ndim)."""
     from scipy.special import chdtri
 
     draws = scaled.to_scaled(theta)
@@ -124,8 +125,9 @@ def _is_converged(x: FloatArray) -> bool:
 def seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
     """Return the approximate time of a solve in seconds.
 
-    For a user's function it is measured. For a structure it is estimated from the matrix sizes, so a repeated or
-    resumed run has the same table, whatever the load of the machine.
+    The time of a user's function is measured at the first rows of `theta` (n, ndim). The time of a structure is
+    estimated from the matrix sizes. A repeated or resumed run therefore gives the same `leave_one_out` table,
+    whatever the load of the machine.
     """
     structure = structure_of(problem.model)
     if structure is not None:

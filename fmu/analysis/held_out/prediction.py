@@ -60,7 +60,7 @@ class Draws:
 
     @cached_property
     def _distinct(self) -> tuple[FloatArray, IntArray]:
-        """Model parameters at the distinct draws, (n_distinct, n_parameters), and each draw's row there, (n,)."""
+        """Distinct model parameters, (n_distinct, n_parameters), and the index of each draw in them, (n,)."""
         return distinct_rows(self.problem.layout.of_model(self.theta))
 
     @cached_property
@@ -71,12 +71,13 @@ class Draws:
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
         """Return the predictive distribution of mode `k`'s measured frequency from importance-weighted draws.
 
-        It is a mixture of one distribution per draw, with log-weights `log_weight` (n,). These distributions are
-        Gaussian, except in two cases: with `fmu.StudentErrors`, and if the measurement is the mean of tests whose
-        scatter gives its error. They are then Student's, with ν degrees of freedom at each draw. In `sd`, the
-        variance of Student's t, which may be infinite, is replaced by the variance of the Gaussian with the same
-        central 95 % interval, and `freedom` is 1/E[1/ν]. Draws at which a solve failed are left out. The
-        prediction is NaN if the problem has no error model for frequencies.
+        The distribution is a mixture with one component per draw. The logarithms of the weights, which sum to 1,
+        are `log_weight` (n,). The components are Gaussian, except in two cases: with `fmu.StudentErrors`, and if
+        the measurement is the mean of tests whose scatter gives its error. The components are then Student's t
+        distributions, with ν degrees of freedom at each draw. In `sd`, the variance of Student's t, which may be
+        infinite, is replaced by the variance of the Gaussian with the same central 95 % interval, and `freedom` is
+        1/E[1/ν]. Draws at which a solve failed are left out. The prediction is NaN if the problem has no error
+        model for frequencies.
         """
         from scipy.optimize import brentq
 

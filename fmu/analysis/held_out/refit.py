@@ -149,10 +149,11 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
-    """Return the problem with only `_SHARE` of its reduced basis, or unchanged if this alters log P noticeably.
+    """Return the problem with only `_SHARE` of its reduced basis, unless this alters log P noticeably.
 
-    The median change at the highest draws may be at most 0.5 nats. The problem is also returned if it has no
-    reduced basis. Chains of the cheaper problem only supply proposals, which need not be exact.
+    The median change at the highest of the scaled draws u (n, ndim), whose log-probabilities are `log_p` (n,), may
+    be at most 0.5 nats. If it is larger, or if the problem has no reduced basis, `problem` itself is returned.
+    Chains of the cheaper problem only supply proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem
@@ -182,10 +183,11 @@ def left_out(
 ) -> LeftOut:
     """Compare the posteriors without and with a mode by importance sampling.
 
-    log p(y_k | y_-k) = log Z - log Z_-k, and both evidences come from the same draws. The proposal is a mixture of
-    the Gaussians at the maxima of both posteriors, of wider Gaussians and of the prior. It therefore also covers a
-    measurement far out in the tail of its prediction, where the posteriors hardly overlap. The number of draws is
-    doubled until the standard error is `ERROR`, or `ACCEPTED` if many draws would be needed.
+    The mode's elpd is log p(y_k | y_-k) = log Z - log Z_-k, where Z and Z_-k are the evidences with and without
+    mode k. Both evidences come from the same draws. The proposal is a mixture of the Gaussians in both
+    approximations, of wider Gaussians and of the prior. It therefore also covers a measurement far out in the tail
+    of its prediction, where the posteriors hardly overlap. The number of draws is doubled until the standard error
+    is at most `ERROR`, or at most `ACCEPTED` if more than `_FAIR` draws would be needed.
 
     The weights may be unreliable, as for a posterior along a curved ridge. The quadratics are then fitted again to
     all draws, and the draws are divided into groups of neighbours. New draws from a mixture that includes the

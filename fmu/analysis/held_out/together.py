@@ -60,9 +60,10 @@ def left_out_together(
 
     Each posterior has a Gaussian at each of its maxima, fitted to the log-probability of draws from all posteriors
     (`fmu.analysis.held_out.candidates`). If these Gaussians do not cover a posterior well, as along a curved
-    ridge, short chains explore the rest, and Gaussians fitted to groups of their draws are added. The comparisons
-    then use draws from the mixture of all Gaussians, of wider Gaussians and of the prior. If a posterior's weights
-    are unreliable, its chains are continued. If they are still unreliable, the result shows it
+    ridge, short chains explore the rest, and Gaussians fitted to groups of the chains' draws are added. The
+    comparisons then use draws from the mixture of all Gaussians, of wider Gaussians and of the prior. If a
+    posterior's weights are unreliable, its chains are continued or started, the Gaussians are fitted again, and
+    its comparison is repeated, at most twice. If the weights are still unreliable, the result shows this
     (`LeftOut.predicts`, `LeftOut.is_known`).
 
     Parameters

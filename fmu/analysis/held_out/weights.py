@@ -1,4 +1,4 @@
-"""Pareto-smoothed importance weights (PSIS) that turn posterior draws into leave-one-out posterior draws."""
+"""Pareto-smoothed importance sampling (PSIS): weights that turn posterior draws into leave-one-out draws."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Smoothed(NamedTuple):
 
 
 def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
-    """Return the importance weights that leave out each mode, keyed by mode label.
+    """Return the importance weights that leave out each mode used in updating, keyed by mode label.
 
     The dict is empty if there are fewer than `FEWEST` draws or the ESS is undefined. A mode is missing if too many
     draws are equal.

@@ -1,7 +1,9 @@
 """Leave modes out of a hierarchical posterior, one after another, and integrate out the scores of their tests.
 
-Scores are informed mostly by the data of their own test. Weights 1 / p(y_i | main, z_t) of the draws are therefore
-uneven, where z_t are the scores of the test that measured datum y_i. The weights w of the main parameters alone,
+Let y_t be the data of test t, y_t,-i these data without the datum y_i, and z_t the scores of the test. The main
+parameters ("main") are all parameters except scores. Scores are informed mostly by the data of their own test. The
+weights 1 / p(y_i | main, z_t) of the posterior draws would therefore be uneven. Weights w of the main parameters
+alone,
 
 w = p(y_t,-i | main) / p(y_t | main),
 
@@ -12,12 +14,12 @@ p(y_t,-i | main) from new scores z′_t,
 w = q(z_t) / [L_t(z_t) p(z_t)] · L_t,-i(z′_t) p(z′_t) / q′(z′_t), z′_t ~ q′,
 
 where L_t and L_t,-i are the likelihoods of the test with and without the datum (Gelfand & Dey 1994, *J. R. Stat.
-Soc. B* 56, 501–514). The densities q and q′ approximate the scores given the main parameters
-(`fmu.posterior.joint.conditional`). They make the weights even, but the weights are exact for any q and q′. The
-weighted draws are of the main parameters together with z′_t, from which the datum is predicted.
+Soc. B* 56, 501–514). The densities q and q′ approximate the density of the scores given the main parameters
+(`fmu.posterior.joint.conditional`). Good approximations make the weights even, but the weights are exact for any q
+and q′. A weighted draw consists of the main parameters and z′_t, and the datum is predicted from it.
 
-Tests are independent given the main parameters, so that one solve leaves out a mode of every test. Errors of the
-model, which tests share, are drawn given all data and belong to the main parameters.
+Tests are independent given the main parameters, so that one solve per draw suffices to leave out one mode of every
+test. The errors of the model, which all tests share, are drawn given all data and treated as main parameters.
 """
 
 from __future__ import annotations

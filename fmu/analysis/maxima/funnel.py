@@ -2,7 +2,8 @@
 
 The larger the discrepancy, the wider the posterior of the other parameters. Given the size τ of the
 discrepancy, the posterior is nearly Gaussian. To first order, its covariance is (Jᵀ V(τ)⁻¹ J + prior
-precision)⁻¹. A Gaussian at the highest point for each τ of a fine grid therefore covers the posterior, where a few
+precision)⁻¹, where J is the Jacobian of the computed modes, and V(τ) is the covariance of their errors, including
+the discrepancy. Gaussians at the highest points for many values of τ therefore cover the posterior, whereas a few
 Gaussians would not.
 """
 
@@ -71,14 +72,15 @@ def components_along(problem: UpdatingProblem, maxima: Maxima) -> tuple[list[Qua
     find the highest points with this size fixed. The component at such a point is the Gaussian of the other
     parameters given the size. Along the size, its standard deviation is 0.8 times the grid spacing. If the data
     hardly inform a parameter beyond some value, such as the stiffness of a nearly rigid spring, its density has a
-    plateau that no Gaussian covers. A second grid then extends over the parameter with the highest plateau, if few
-    values suffice.
+    plateau that no Gaussian covers. A second grid of seven values then extends over the parameter with the highest
+    plateau, provided that its spacing is at most two standard deviations of the largest component. Components with
+    at most 1 % of the largest component's mass are dropped.
 
     Parameters
     ----------
     problem : UpdatingProblem
     maxima : Maxima
-        The maxima of its posterior.
+        The maxima of the problem's posterior.
 
     Returns
     -------
@@ -125,8 +127,8 @@ class _Given:
     Attributes
     ----------
     warp : Warp
-        Coordinates x. They are logarithmic in the size of the discrepancy, beyond small sizes, and in parameters
-        with log-normal priors.
+        Coordinates x. For the size of the discrepancy, and for parameters with log-normal priors, they are
+        logarithmic except close to the lower bound.
     """
 
     def __init__(self, problem: UpdatingProblem) -> None:
@@ -170,11 +172,12 @@ class _Given:
         return _Components(found, np.array(log_mass))
 
     def highest_plateau(self, component: Quadratic, least: FloatArray) -> int:
-        """Return the index of the parameter with the highest plateau of the density, or −1 if there is none.
+        """Return the index of the parameter with the highest plateau of the density, or −1 if there is no plateau.
 
-        The density is compared with a component two standard deviations to either side along each parameter, with
-        the others at their means given its value. The size of the discrepancy is left out, and so is a parameter
-        whose standard deviation in the component is below `least` (ndim,).
+        Along each parameter, the density is compared with `component` at two points, two standard deviations to
+        either side of the component's centre. There the other parameters have their means given the value of this
+        parameter. A point outside the bounds is skipped. The size of the discrepancy is left out, and so is a
+        parameter whose standard deviation in the component is below `least` (ndim,).
         """
         covariance = np.linalg.inv(component.hessian)
         sd = np.sqrt(np.diag(covariance))

@@ -58,10 +58,11 @@ def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
 def draws_of_maxima(theta: FloatArray, log_prob: FloatArray, maxima: Maxima) -> IntArray:
     """Assign each draw to a maximum; return the maxima's indices, shape (n,), or −1 for no maximum.
 
-    A draw near a maximum (`nearest_maxima`) is assigned to it. Along a curved ridge, draws lie outside its
-    ellipsoid. A draw near no maximum is therefore assigned to the one whose quadratic model falls least, provided
-    that its log-probability is at least the value on the ellipsoid's surface. This only divides the draws: it does
-    not show that a maximum was visited, since an unknown mode may be as high.
+    A draw near a maximum (`nearest_maxima`) is assigned to it. If a maximum is on a curved ridge, many draws lie
+    outside the maximum's ellipsoid. A draw near no maximum is therefore assigned to the one whose quadratic model
+    falls least, provided that the draw's log-probability is at least the model's value on the surface of this
+    ellipsoid. This only divides the draws: it does not show that a maximum was visited, since an unknown mode may
+    be as high.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     -------
     list of str
         One sentence per maximum with a remedy, and one sentence on where the chains are. Empty if there are no
-        such maxima, or if the masses are unreliable (`compare_shares`).
+        such maxima, if their masses are unreliable, or if the draws are the better estimate (`compare_shares`).
     """
     return compare_shares(trace, maxima).reasons
 
@@ -190,7 +191,7 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
     """Return the ESS of the fraction of draws at a maximum, given a mask of these draws.
 
     If no chain enters or leaves the maximum, the starting points alone determine the fraction, and the result is
-    the number of chains. For ensembles it is their number if the ESS is undefined.
+    the number of chains. If the ESS is undefined, the result is also the number of chains, or of ensembles.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))

@@ -88,14 +88,14 @@ class PosteriorMaximum:
     share : float
         This mass divided by the total mass of all maxima found.
     kind : str
-        ``"maximum"``: the gradient vanishes, or bounds are active; ``"kink"``, where the gradient changes sign;
-        ``"jump"``, where log P falls; ``"edge"``, beyond which the model has no solution; ``"slope"``, where the
-        search ended without a maximum.
+        ``"maximum"`` if the gradient vanishes, except across active bounds; ``"kink"`` if the gradient changes
+        sign; ``"jump"`` if log P falls abruptly; ``"edge"`` if the model has no solution beyond the point;
+        ``"slope"`` if the search ended without a maximum.
     slope : float
         Length of the gradient over the free coordinates, in nats per posterior standard deviation.
     weight : float
-        Fraction of the chains that start here: the mass that the quadratic model covers, even across a jump. If it
-        is NaN, `share` is used.
+        Fraction of the chains that start here. It is proportional to the mass that the quadratic model covers,
+        even across a jump. If it is NaN, `share` is used instead.
     """
 
     theta: FloatArray
@@ -200,7 +200,7 @@ class Maxima:
 
     @property
     def log_evidence_error(self) -> float:
-        """Standard error of `log_evidence` from the importance weights, or NaN if there are none."""
+        """Standard error of `log_evidence` from the importance weights; NaN if no mass comes from such weights."""
         weighed = [m for m in self.maxima if m.effective_draws > 0]
         if not weighed:
             return np.nan
@@ -262,8 +262,8 @@ class Maxima:
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
         """Return a text table that compares the maxima, the model before updating and the data, one column each.
 
-        The posterior standard deviations determine the number of digits; different frequencies are shown as
-        different.
+        The posterior standard deviations determine the number of digits. Frequencies that differ have enough
+        digits to tell them apart.
 
         Parameters
         ----------

@@ -95,8 +95,8 @@ def find_map(
     For any other log-density, the starting points are drawn from its prior (``sample_prior``), or within its
     bounds. A density with neither is searched around its starting point, which excludes no other maxima;
     `Maxima.doubts` and the verdict on a run state this. A maximum that attracts fewer than one in `starts`
-    starting points may be missed. Unless `starts` is given, the search ends after 20 000 evaluations at the
-    latest.
+    starting points may be missed. Unless `starts` is given, no ascent begins after 20 000 evaluations, or after
+    sixteen ascents if these have found more than eight maxima.
 
     Parameters
     ----------
@@ -202,11 +202,12 @@ def _weigh(
     most: float = np.inf,
     draws: int = DRAWS,
 ) -> Maxima:
-    """Compute the curvature and mass of each maximum found, the mass with `draws` draws at each temperature.
+    """Return all maxima found with their curvatures and masses.
 
-    `solved` and `differentiated` are the numbers of solves and gradients before the search. If the solves are
-    limited to `most`, the curvature for modal errors is the Gauss–Newton matrix, and the mass takes only as many
-    draws as the remaining solves allow, but at least eight at each maximum and temperature.
+    A mass takes `draws` draws from each of the two Gaussians around its maximum (`mode_weights`). `solved` and
+    `differentiated` are the numbers of solves and gradients before the search. If the solves are limited to
+    `most`, the curvature for modal errors is the Gauss–Newton matrix, and each Gaussian gets only as many draws as
+    the remaining solves allow, but at least eight.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -345,9 +346,10 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the symmetrised Hessian (ndim, ndim) from differences of the gradient over ± `step` (ndim,).
+    """Return −∇² log P (ndim, ndim), symmetrised, from differences of the gradient over ± `step` (ndim,).
 
-    Both are in scaled coordinates. Entries that are not finite are set to 0.
+    The result and `step` are in scaled coordinates, `theta` (ndim,) is in SI units. Entries that are not finite
+    are set to 0.
     """
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway

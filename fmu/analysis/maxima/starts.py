@@ -147,7 +147,8 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     Around each maximum, points are drawn from the local Gaussian approximation, widened by `DISPERSION` and
     truncated at the bounds. The approximation may be poor that far out. So any point whose log-probability is not
     finite, or is below the contour that encloses nearly all of the widened Gaussian, is moved halfway to the
-    maximum, up to `_HALVINGS` times. A point that is still not finite is then reflected through the maximum.
+    maximum, up to `_HALVINGS` times. If the log-probability is still not finite, the point is then reflected
+    through the maximum.
 
     Parameters
     ----------
@@ -193,12 +194,13 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray, Warp | None]:
     """Return quadratic models at the important maxima, in scaled coordinates, their mixture weights, and a warp.
 
-    At most eight maxima are taken, with more than 1e-6 of the probability. Half of the weight is proportional to
-    their posterior probabilities, half is equal. A sampler then gets enough first candidates around each maximum
-    to find its shape, and notices a probability that was estimated far too low. If `maxima` is None, the single
-    component is at the typical point of a hierarchical posterior. If the quadratic models are poor because a
-    discrepancy is inferred, the components lie along its funnel instead. They are then Gaussians in the
-    coordinates of the warp, which is None otherwise.
+    At most eight maxima are taken, with more than 1e-6 of the probability. Half of the total weight is divided in
+    proportion to their posterior probabilities, the other half equally. A sampler then gets enough first
+    candidates around each maximum to find its shape, and notices a probability that was estimated far too low.
+
+    If `maxima` is None, the single component is at the typical point of a hierarchical posterior. If one
+    discrepancy size is inferred and the quadratic models are therefore poor, the components lie along the funnel
+    instead, and are Gaussians in the coordinates of the warp. In all other cases the warp is None.
     """
     if maxima is None:
         return [middle(density)], np.ones(1), None

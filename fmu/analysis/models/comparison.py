@@ -106,7 +106,7 @@ def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
 def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
     """Raise ValueError unless all traces have the same measured modes, FRFs and quantities, used in the same way.
 
-    The errors must also be densities in the same unit (`_data`).
+    The errors must also have the same unit in all traces (`_data`). A trace without measured data is refused, too.
     """
     first, *others = traces
     for name in traces:
@@ -128,8 +128,8 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
 def _data(trace: xr.DataTree) -> dict[str, object]:
     """Return the properties on which the compared models must agree, keyed by description.
 
-    These are the measured modes, FRFs, masses and displacements, the choice of those used in updating, and the
-    unit of the errors.
+    These are the measured frequencies and mode shapes, FRFs, masses and displacements, the choice of those used in
+    updating, the kinds of quantities that are compared with the model, and the unit of the errors.
     """
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())

@@ -39,9 +39,9 @@ def predict_modes(
 ) -> pd.DataFrame:
     """Predict the lowest frequencies of a structure, measured or not, in its present or a modified state.
 
-    The model is solved at posterior draws. With a discrepancy each mode has its own error, as an unmeasured mode
-    would. Its parameters scatter by τ (kind "embedded"), or its frequency has an error with standard deviation σ
-    (kind "modes"). The data inform the part of this error that all modes share.
+    The model is solved at posterior draws. With a discrepancy, each mode gets its own error, as an unmeasured mode
+    would. In each mode the parameters scatter by τ (kind "embedded"), or the frequency has an error with standard
+    deviation σ (kind "modes"). The data inform only the part of this error that all modes share.
     `fmu.analysis.prediction.predict_frequencies` predicts the measured modes of an unmodified structure better.
 
     Parameters

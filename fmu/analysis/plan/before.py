@@ -1,9 +1,11 @@
-"""What is known before a planned test: the structure, and its parameters from the prior, earlier tests or a run.
+"""The state of knowledge before a planned test: the structure, and draws of its parameters.
 
-A plan's parameters ψ are the parameters in theta that matter for the planned test, plus its test scores: its
-standardised deviations from the population means. For a decision about damage after a single test, ψ also
-includes the parameters' relative losses since then. The structural parameters in the planned test are functions
-of ψ.
+The parameters come from the prior, from the linearised posterior of earlier tests, or from a run. A plan's
+parameters ψ are the parameters in theta that matter for the planned test or its target. If parameters form
+populations, ψ also includes the planned test's scores: the deviations of its parameter values from the population
+means, in units of the populations' standard deviations. If a decision about damage is planned from a single
+earlier test, ψ also includes the relative losses that the parameters may have suffered since that test. The
+structural parameters in the planned test are functions of ψ.
 """
 
 from __future__ import annotations
@@ -62,10 +64,11 @@ class Before:
     scale : ndarray, shape (P, P)
         L, where LLᵀ is the covariance of ψ.
     losses : tuple of int
-        Index in theta of each parameter that may have decreased since a single test. The relative losses are the
-        last entries of `every`.
+        For a problem with one test: index in theta of each parameter that may have decreased since this test. The
+        relative losses are the last entries of `every`.
     is_prior : bool
-        Whether ψ are the structural parameters of a single test, all of them updated, with their priors.
+        True if the problem has one test, all structural parameters are updated, and ψ consists of these parameters
+        with their priors, without losses.
     doubts : tuple of str
         Reasons why the linearised posterior of earlier tests may be wrong.
     """
@@ -125,7 +128,7 @@ class Before:
         return self.all_at(psi)[:, : self.problem.n_structural]
 
     def losses_at(self, psi: FloatArray) -> FloatArray:
-        """Return the relative losses since the single test at ψ (n, P), shape (n, n_losses)."""
+        """Return the relative losses since the problem's only test, at ψ (n, P), shape (n, n_losses)."""
         return self.all_at(psi)[:, len(self.every) - len(self.losses) :]
 
     def values(self, psi: FloatArray) -> FloatArray:
@@ -205,7 +208,8 @@ def known_before(
     like : str or None
         Name of the test that the planned one resembles. Defaults to the last test.
     losses : sequence of Parameter
-        Relative losses since a single test, each named after a parameter of theta followed by " loss".
+        For a problem with one test: relative losses since this test. The name of each is the name of a parameter
+        in theta, followed by " loss".
     n : int
         Number of draws.
     rng : Generator
@@ -278,7 +282,8 @@ def _linearised_posterior(
     """Return draws from the tests' linearised posterior, (n, n_structural), and reasons to doubt it.
 
     The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters form populations,
-    it is approximated at the typical point instead. Raise ValueError if the model then also has a discrepancy.
+    it is approximated at the typical point instead. Raise ValueError if parameters form populations and the model
+    has a discrepancy.
     """
     p = problem.n_structural
     if problem.is_hierarchical:

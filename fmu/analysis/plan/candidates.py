@@ -158,10 +158,10 @@ def group_candidates(
     triaxial: bool,
     costs: Mapping[Any, float],
 ) -> Candidates:
-    """Group channels that exist into candidates.
+    """Group existing channels into candidates.
 
     Channels in `given` that are mounted or at excluded places are left out. `find_candidates` describes the
-    arguments and errors.
+    arguments. Raise ValueError if a channel is given twice, a cost is not positive, or no candidate is left.
     """
     for key, sensors in (("candidates", given), ("mounted", mounted)):
         twice = first_repeated([(place, direction) for place, direction in sensors])

@@ -21,7 +21,7 @@ class Design:
     Attributes
     ----------
     parameters : tuple of Parameter
-        The p parameters that affect the test or the target.
+        The p parameters of the plan, which are ψ in `fmu.analysis.plan.before`.
     scale : ndarray, shape (p, p)
         L, where LLᵀ is the parameter covariance before the test, SI units.
     found : Sensitivities
@@ -92,7 +92,7 @@ class Design:
         return Readings(first, shapes, slopes, self.candidates.groups, self.target)
 
     def frequency_sd_of(self, modes: Sequence[int]) -> FloatArray:
-        """Return the relative frequency errors of the measured modes with these indices, shape (len(modes),)."""
+        """Return the relative standard deviations of the given measured modes' frequencies, (len(modes),)."""
         return np.array([self.frequency_sd[self.modes.index(i)] for i in modes])
 
     def sd_of(self, state: State) -> FloatArray:

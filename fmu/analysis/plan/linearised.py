@@ -133,8 +133,9 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
 def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
     """Linearise the test of a user's function or a surrogate, whose candidates are the sensors in the data.
 
-    Raise ValueError if the test has changes, the model gives no mode shapes, the data lack the modes or channels,
-    a mode moves no candidate, or no mode moves a candidate.
+    Raise ValueError if the test has changes, the model gives no mode shapes, a mode, sensor or place is not in the
+    data, a sensor is given twice, a cost is not positive, or no candidate is left. Raise it also if a mode to be
+    measured moves none of the candidates, none of these modes moves a candidate, or no draw has all derivatives.
     """
     if wishes.changes:
         raise ArgumentError("changes", "need a model with matrices", before.model.name)
@@ -165,9 +166,10 @@ def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
-    """Return only the candidates and channels that some measured mode moves.
+    """Return the candidates without the channels that no measured mode moves.
 
-    Raise ValueError if no measured mode moves a mounted sensor or, if `are_named`, a candidate.
+    Raise ValueError if no measured mode moves one of the mounted sensors or, if `are_named` is True, one of the
+    candidates. Raise it also if no candidate is left.
     """
     largest = np.max(np.abs(shapes), axis=0)
     still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
@@ -216,10 +218,11 @@ def _of_change(
     start: FloatArray,
     picked: tuple[int, ...],
 ) -> tuple[Sensitivities, tuple[int, ...]]:
-    """Return the changed structure's sensitivities at the same candidates, and the modes to measure on it.
+    """Return the sensitivities of the changed structure at the same candidates, and its modes to measure.
 
-    The modes chosen are those most similar, by MAC at the candidates, to the modes of the unchanged structure.
-    Raise ValueError, with `name` in its message, if the change does not suit the structure.
+    For each mode that is measured on the unchanged structure, the most similar mode of the changed structure is
+    chosen, by MAC at the candidates. Raise ValueError, with `name` in its message, if the change does not suit the
+    structure, or the changed structure has too few modes or no draw with all derivatives.
     """
     before = paired.observed(start[None]).shapes[0][:, list(picked)]
     try:

@@ -89,9 +89,10 @@ def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.Data
 
 
 def enough_repeats(table: pd.DataFrame) -> int | None:
-    """Return the number of tests beyond which the standard deviations hardly fall, or None if they still fall.
+    """Return the number of tests beyond which the standard deviations hardly fall.
 
-    They hardly fall if the next number of tests in the table lowers their median by less than 5 %.
+    They hardly fall if the next number of tests in the table lowers their median by less than 5 %. Return None if
+    each step in the table lowers it by at least 5 %.
     """
     sd = table["median_sd"].to_numpy()
     return next((int(table.index[k]) for k in range(len(sd) - 1) if sd[k + 1] > ENOUGH * sd[k]), None)

@@ -39,7 +39,7 @@ class Pairing:
 
 
 def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator) -> Pairing:
-    """Simulate ten measured tests at each draw, and pair their mode shapes by MAC with all computed modes.
+    """Simulate ten tests at each draw, and pair the measured mode shapes by MAC with all computed modes.
 
     The computed modes include the spare ones above the measured modes.
 

@@ -65,13 +65,16 @@ def plan(
 ) -> Plan:
     """Plan a modal test: choose the sensors that reduce the parameter uncertainty most.
 
-    The model is linearised at draws from the prior or, with a trace, from a run's posterior. Greedy selection and
-    exchanges maximise the expected information ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J), where J contains the derivatives of
-    the measured values with respect to the scaled parameters, and Σ_e the variances of the measurement errors. An
-    upper bound from convex relaxation shows how far the plan can be from the best choice. Parameter bounds and
-    non-Gaussian posteriors are ignored; `fmu.simulate_plan` compares the plan with simulated tests. If the most
-    informative sensors do not allow the modes to be paired by MAC, only choices that allow it are considered, if
-    there are any.
+    The model is linearised at draws from the prior or, after several tests or with a trace, from the posterior.
+    Greedy selection and exchanges maximise the expected information ½ E log det(I + Jᵀ Σ_e⁻¹ J). Here E is the
+    mean over the draws, J contains the derivatives of all measured values with respect to the scaled parameters,
+    and Σ_e is the diagonal matrix of the variances of the measurement errors. The scales of the mode shapes are
+    unknown, which reduces the information (`fmu.analysis.plan.sensors.information`). With a target, only
+    information about the target counts. An upper bound from convex relaxation shows how far the plan can be from
+    the best choice. Parameter bounds and non-Gaussian posteriors are ignored; `fmu.simulate_plan` compares the
+    plan with simulated tests. If the most informative sensors do not allow the modes to be paired by MAC, the plan
+    is the most informative choice found that does. If no such choice is found, the plan keeps the most informative
+    sensors.
 
     Parameters
     ----------
@@ -99,7 +102,8 @@ def plan(
         Largest total cost of the chosen sensors. By default, there is no limit.
     modes : int or sequence of int, optional
         Number of modes to measure, starting from the lowest elastic mode that the candidates see; or the mode
-        numbers, from 1, among all elastic modes. Defaults to the problem's number of modes.
+        numbers, from 1, among all elastic modes. For a user's function or a surrogate, modes are counted in the
+        order of the data, and the candidates must see each of them. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
         Relative standard deviation of the frequencies in one test. Defaults to the standard deviations of the
         problem's frequency errors, or to their median if another number of modes is planned; to 0.005 without
@@ -120,7 +124,8 @@ def plan(
         With several tests, the name of the test that the planned one resembles in its group, masses, springs and
         known parameters. Defaults to the last test. Covariates take their means over the tests.
     trace : DataTree, optional
-        A run of the same problem, whose posterior replaces the prior.
+        A run of the same problem. Its posterior replaces the prior or, after several tests, their linearised
+        posterior.
     draws : int
         Number of draws at which the model is linearised, 2 to 10 000.
     seed : int
@@ -133,14 +138,16 @@ def plan(
     Raises
     ------
     ValueError
-        If `problem` is not an UpdatingProblem, a sensor or place does not exist, a sensor is given twice, there
-        are fewer candidates than sensors, the budget is too small for one sensor, a cost is not positive, the
-        candidates do not see a mode, no mode moves a candidate, the modes are not distinct or the model lacks one,
+        If `problem` is not an UpdatingProblem, a number is out of range, a sensor or place does not exist, a
+        sensor is given twice, there are fewer candidates than sensors, the budget is too small for one sensor, a
+        cost is not positive, the candidates do not see a mode, a given or mounted sensor sees none of the modes,
+        the modes are not distinct or the model lacks one, the model has no derivatives of the modes at any draw,
         `frequency_sd` has the wrong shape, the model gives no mode shapes, `changes` or `min_distance` is given
-        for a model without matrices or coordinates, `like` is not the name of one of several tests, the trace has
-        other parameters, the target names an unknown parameter, depends on none or does not suit the problem, or a
-        parameter has a separate value in each test. If parameters form populations and the model has a
-        discrepancy, also if there is no trace.
+        for a model without matrices or coordinates, a change does not suit the structure, `like` is not the name
+        of one of several tests, the trace is not a trace or has other parameters, the target names an unknown
+        parameter, depends on none, returns values that are not finite or does not suit the problem, a parameter
+        has a separate value in each test, or parameters form populations, the model has a discrepancy and no trace
+        is given.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -203,9 +210,9 @@ def _choose(
     relaxed: Relaxed,
     can_pair: Callable[[Sequence[int]], bool],
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the most informative choice found, and the most informative one that allows pairing by MAC.
+    """Return the most informative choice found, and the most informative one found that allows pairing by MAC.
 
-    The second is the same as the first if no choice allows pairing.
+    Both are the same if the first allows pairing, or if no choice that was tried allows it.
     """
     rounded = [int(k) for k in np.argsort(-relaxed.weights, kind="stable")]
     most = choose(readings, limits, [usual[INDEPENDENCE], rounded])
@@ -231,13 +238,13 @@ def _modes(data: ModalData, modes: int | Sequence[int] | None) -> int | tuple[in
 def _frequency_sd(
     problem: UpdatingProblem, trace: xr.DataTree | None, test: int, n_modes: int
 ) -> FloatArray | float:
-    """Return the relative standard deviations of the frequencies in a test of the problem, (n_modes,).
+    """Return the relative frequency standard deviations in the test with index `test`, (n_modes,), or one value.
 
     For a covariance, they are the square roots of its diagonal, because a plan treats errors as independent. For
     Student's errors, they are the standard deviations of Gaussian errors with the same information, σ √((ν + 3)/(ν
-    + 1)). If that test has another number of modes, return their median; without frequency errors, return
-    `FREQUENCY_SD`. Inferred standard deviations have their posterior means or, without a run, their starting
-    values.
+    + 1)). Inferred standard deviations have their posterior means or, without a run, their starting values. If the
+    number of modes in the test differs from `n_modes`, the one value returned is the median over its modes. If the
+    problem has no frequency errors, it is `FREQUENCY_SD`.
     """
     term, n = problem.likelihood.frequency_term, problem.n_structural
     if term is None:

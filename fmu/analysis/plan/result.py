@@ -58,15 +58,16 @@ class Plan:
     information : float
         Expected information gain in nats, about the target or, without one, about all parameters.
     bound : float
-        Upper bound on the information of any choice with as many sensors or within the budget, in nats.
+        Upper bound, in nats, on the information of any choice of `limits.count` sensors or, with a budget, of any
+        choice within the budget.
     curve : DataFrame
         ``information`` of the mounted sensors and the first n chosen ones, one row per n from 0.
     choices : DataFrame
-        The plan, the most informative choice if it does not allow pairing, and the customary choices:
-        ``information``; ``median_sd``, the median over the parameters of the expected standard deviation relative
-        to its value before the test; ``largest_auto_mac`` off the diagonal; ``wrong_pairs``, the largest fraction
-        of wrong pairings of any mode; for a decision about damage, also ``if_none`` and ``if_twice``
-        (`Decision.worst`).
+        One row for the plan, one for the most informative choice if this is not the plan, and one for each
+        customary choice. The columns are ``information``; ``median_sd``, the median over the parameters of the
+        expected standard deviation relative to its value before the test; ``largest_auto_mac`` off the diagonal;
+        ``wrong_pairs``, the largest fraction of wrong pairings of any mode; for a decision about damage, also
+        ``if_none`` and ``if_twice`` (`Decision.worst`).
     modes, repeats, second_tests : DataFrame
         See `fmu.analysis.plan.options`; `second_tests` is None without changes.
     pairing : Pairing

@@ -163,10 +163,12 @@ def pick_modes(
 def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) -> Sensitivities:
     """Return the sensitivities of a structure with system matrices, at theta (n, n_parameters).
 
-    A structure of more than 100 DOFs is reduced within the range of the draws, if it can be and there are more
-    than three draws. The reduced basis covers all DOFs, so it gives mode shapes at all candidates. The reduced
-    modes are compared with the full model's at the first three draws. If their shapes differ too much, the model
-    is reduced again with a smaller tolerance. Raise ValueError if no draw has all derivatives.
+    If the structure has more than 100 DOFs and there are more than three draws, a reduced model is trained for the
+    range of the draws. If reduction is not possible or would not pay, the full model is solved instead. The
+    reduced basis covers all DOFs, so it gives mode shapes at all candidates. The reduced model's mode shapes are
+    compared with the full model's at the first three draws. If they differ too much, the model is reduced again
+    with a smaller tolerance, and the result is used even if its certificate is not ok. Raise ValueError if no draw
+    has all derivatives.
     """
     nominal = paired.observed(start[None])
     n = len(theta)

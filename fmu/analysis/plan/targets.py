@@ -1,8 +1,9 @@
 """The purpose of a planned test: parameters, a combination of them, a prediction, or a decision about damage.
 
-The loss d of a parameter has mean m and standard deviation s₀ before the test, and s₁ after it. In the linearised
-model, the posterior mean after a test of a structure whose true loss is d* is normal, with mean m + r (d* − m),
-r = 1 − s₁²/s₀², and variance r s₁². The expected probability after the test that the loss exceeds x is
+The loss d of a parameter has mean m and standard deviation s₀ before the test, and standard deviation s₁ after it.
+Suppose that the true loss is d*. In the linearised model, the posterior mean after the test is then normally
+distributed with mean m + r (d* − m) and variance r s₁², where r = 1 − s₁²/s₀². The expected probability after the
+test that the loss exceeds x is
 
     E P(d > x | test) = Φ( (m + r (d* − m) − x) / (s₁ √(1 + r)) ).
 
@@ -66,13 +67,14 @@ def damage_in(target: Target | None) -> DamageTarget | None:
 def target_of(target: Target | None, before: Before) -> FloatArray | None:
     """Return the target's derivatives with respect to ψ, (n, t, P), or None if there is no target.
 
-    Losses and predictions are differentiated at the draws by central differences.
+    Losses and predictions are differentiated at the draws by central differences, one-sided at bounds.
 
     Raises
     ------
     ValueError
-        If a name is unknown, the weights are all zero, a prediction does not return finite numbers, the target
-        depends on no parameter, or losses are asked for in a test of the reference state.
+        If a name is unknown, the weights are all zero, a prediction does not return finite numbers in n rows, a
+        quantity in the target depends on no parameter at some draw, or the target is losses in a test of the
+        reference state.
     """
     names = [one.name for one in before.parameters]
     if target is None:
@@ -111,7 +113,7 @@ def without_the_unneeded(before: Before, target: Target | None) -> Before:
 def _predict(target: Callable[[FloatArray], FloatArray], theta: FloatArray) -> FloatArray:
     """Return the user's prediction at theta (n, p), shape (n, t).
 
-    Raise ValueError unless it is finite and has shape (n,) or (n, t).
+    Raise ValueError unless it is finite and its first axis has length n. Any further axes are flattened into one.
     """
     found = np.asarray(target(theta), dtype=float)
     if found.shape[:1] != (len(theta),) or not np.all(np.isfinite(found)):

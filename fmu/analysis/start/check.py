@@ -72,7 +72,7 @@ class Check:
     drawing : str
         The structure as SVG; empty if it has no geometry or too many elements.
     colours : tuple of (str or None)
-        For each parameter, the colour in the drawing of the elements that it changes.
+        For each row of `parameters`, the colour of the changed elements in the drawing; None if there are none.
     measurement : str
         Description of a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``.
     tests : tuple of str
@@ -136,7 +136,10 @@ class Check:
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
-        """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior."""
+        """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior.
+
+        The warnings about FRFs are not among them; `doubts` has all warnings.
+        """
         assumed = () if self.assumptions is None else self.assumptions.sentences
         said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
         said += [*self.sensor_doubts, *self.tests]
@@ -147,9 +150,9 @@ class Check:
         return said + self.prior.sentences()
 
     def mode_table(self) -> pd.DataFrame:
-        """Return a text table of the computed modes, in which three or more successive modes may share a row.
+        """Return a text table of the computed modes, one row per mode.
 
-        These are modes that move no sensor, and rigid-body modes.
+        Three or more successive modes share a row if they are rigid-body modes, or if they move no sensor.
         """
         return modes_as_text(self.modes)
 
@@ -195,9 +198,10 @@ class Check:
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
 
     def point_table(self) -> pd.DataFrame:
-        """Return a text table with the node and distance of each test point, in descending order of distance.
+        """Return a text table with one row per test point, in descending order of distance.
 
-        It requires test points (`points`).
+        The columns are the point, its node, its distance from the node, and the node spacing there. The table
+        requires test points (`points`).
         """
         assert self.points is not None  # there are coordinates
         table = self.points.table().sort_values("distance", ascending=False, kind="stable").reset_index()

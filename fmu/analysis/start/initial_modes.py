@@ -91,7 +91,10 @@ class InitialModes:
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def subspace_mac(self, k: int) -> float:
-        """Return the subspace MAC of measured mode `k` and the modes close to it, or NaN if there are none."""
+        """Return the subspace MAC of measured mode `k` and the modes close to it.
+
+        Return NaN if no mode is close to it, or if no shapes were compared.
+        """
         return np.nan if self.correlation is None else self.correlation.subspace.get(k, np.nan)
 
     def table(self) -> pd.DataFrame:
@@ -153,9 +156,10 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
 
 
 def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
-    """Return warnings about mode shapes and sensors of several tests, for at most `_MOST_TESTS` tests.
+    """Return warnings about mode shapes and sensors of several tests.
 
-    The list is empty for a single test, or if shapes were not measured or the model gives none.
+    They are given in full for the first `_MOST_TESTS` tests that have warnings; one more sentence counts the
+    others. The list is empty for a single test, or if shapes were not measured or the model gives none.
     """
     model = problem.model
     if model.n_tests == 1 or problem.data.shapes is None or not model.gives_shapes:

@@ -72,7 +72,10 @@ class MeasuredInTest:
 
     @classmethod
     def of(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
-        """Return the measured FRFs of a likelihood term, with the model's FRFs at parameters `own` (1, n_own)."""
+        """Return the measured FRFs of a likelihood term, with the FRFs that the model computes.
+
+        `own`, shape (1, n_own), are the values of the term's own parameters (`UpdatingProblem.responses_at`).
+        """
         there = term.data.used | held_out(term.data)
         computed = np.full(there.shape, np.nan, dtype=complex)
         computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]

@@ -99,10 +99,10 @@ def _beside_structure(problem: UpdatingProblem, k: int) -> str:
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and the colour in which it shows each row of `parameter_table`.
+    """Return the structure as SVG, and for each row of `parameter_table` the colour of the changed elements.
 
-    The colour is None for a parameter that changes nothing in the structure. If the structure cannot be drawn, the
-    SVG is empty and each colour is None.
+    The colour is None for a parameter that changes nothing in the drawn structure. If the structure cannot be
+    drawn, the SVG is empty and each colour is None.
     """
     listed, structure = _find_listed(problem), problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):

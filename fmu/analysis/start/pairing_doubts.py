@@ -46,12 +46,22 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings about measured modes that differ from their paired mode, or resemble another one as much.
+    """Return warnings about measured modes that differ from their paired mode, or also resemble another one.
 
-    A mode is also reported if its MAC with another computed mode is smaller, but by less than `RIVAL`.
+    A mode is reported if its MAC with the paired mode is below `ALIKE`. It is also reported if its MAC with
+    another computed mode is larger than with the paired mode, or smaller by less than `RIVAL`. Modes in a group of
+    close modes are skipped if the subspace MAC of the group, which `found` contains, is at least `ALIKE`.
 
-    Similarity is judged by MAC: `alike`, shape (n_modes, n_computed), or None if no shapes were measured. `paired`
-    gives the column of each measured mode. Close modes are skipped if their subspace matches the measured one.
+    Parameters
+    ----------
+    labels : tuple of str
+        Labels of the measured modes.
+    paired : list of int
+        For each measured mode, the column of its paired mode in `alike`.
+    alike : ndarray, shape (n_modes, n_computed), or None
+        MAC between measured and computed modes. If it is None, because no shapes were measured, there are no
+        warnings.
+    found : Correlation, optional
     """
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):

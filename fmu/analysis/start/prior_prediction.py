@@ -34,11 +34,12 @@ class PriorPrediction:
     labels : tuple of str
     measured : ndarray, shape (n_modes,)
     frequencies : ndarray, shape (n, n_modes)
-        Computed frequencies at the draws at which the model did not fail.
+        Computed frequencies at the draws for which the model did not fail.
     noise_sd : ndarray, shape (n_modes,)
-        Standard deviation of the measurement error; NaN if there is no error model of frequencies.
+        Standard deviation of the measurement error and any model discrepancy. NaN if there is no error model of
+        frequencies, or if errors have to be simulated and the model failed at every draw.
     failed : int
-        Number of draws at which the model computed no finite frequencies.
+        Number of draws at which the model did not compute finite frequencies for all modes.
     """
 
     labels: tuple[str, ...]
@@ -103,9 +104,9 @@ class PriorPrediction:
         return said
 
     def sentences(self) -> list[str]:
-        """Return `doubts`, and a sentence that no measured frequency is far from its prediction if none is.
+        """Return `doubts`, followed by one more sentence if no measured frequency is far from its prediction.
 
-        With fewer than two draws, only failures are mentioned.
+        This sentence is left out if the model was solved at fewer than two draws.
         """
         said = self.doubts
         if len(self.frequencies) > 1 and not np.any(self.is_far):

@@ -96,19 +96,19 @@ def to_trace(
           errors of frequencies, ``residual`` for the modal residual, otherwise ``modes``. If errors of different
           modes are correlated, also ``frequency_given_others``; with FRFs also ``frfs``;
         - ``misfit``, and ``quantities`` for masses and displacements: see `fmu.analysis.trace.misfit`;
-        - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise and,
-          with errors of frequencies, ``frequency`` with measurement noise. For repeated tests ``frequency`` is the
-          mean over as many new tests, and ``one_more_test`` is a single test;
+        - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without errors and, with errors
+          of frequencies, ``frequency`` with noise and any discrepancy. For repeated tests, ``frequency`` is the
+          mean of the same number of new tests, and ``one_more_test`` is a single test;
         - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
           ``used``, if not all modes are used in updating; ``of_test``, if there are several tests;
         - ``constant_data``: ``lower``, ``upper``, ``start``, ``beta``, and ``covariance_hz2`` with correlated
-          errors; with several tests also each parameter's ``role``;
+          errors; with several tests also ``role``, ``role_of`` and ``role_where`` of each parameter;
         - ``tempering``, for parallel tempering: see `fmu.analysis.evidence_estimators.tempering_group`;
         - ``tests``, for several tests (`fmu.JointProblem`): the structural parameters in every test (chain, draw,
           test); ``populations``, ``loss``, ``loss_by_test`` and ``residual_scores``, if the problem has them; and
-          ``structure``, the drawing of the structure;
+          ``structure``, the drawing of the structure, if it can be drawn;
         - ``next_test``, for a hierarchical posterior: the frequencies of one more test like the first,
           ``frequency`` with measurement noise and ``model_frequency`` without.
 
@@ -205,7 +205,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
     """Return all traces in a run's directory, keyed by name, in the order of `fmu.samplers.registry.SAMPLERS`.
 
-    Names that are not samplers follow alphabetically.
+    Other names follow in alphabetical order. The dict is empty if there are no traces or no such directory.
 
     Raises
     ------

@@ -135,8 +135,8 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
     """Return the posterior means, in SI units, of every parameter that has a loss, before and after the damage.
 
-    The mean before damage is taken over the tests of the reference state in which the parameter is unknown. If it
-    is known in all of them, its mean known value is returned.
+    The mean before damage is taken over the tests of the reference state in which the parameter is unknown. If the
+    parameter is known in all tests of this state, the mean of the known values is used.
 
     Returns
     -------

@@ -72,9 +72,9 @@ class StoredEnsemble:
     def find_moves(self, thin_by: int) -> BoolArray | None:
         """Return a mask (steps, walkers) of the walkers that moved, or None if some steps were not stored.
 
-        Some were not stored if `thin_by` exceeds 1, or if walkers moved more often than emcee accepted proposals;
-        the latter gives a warning. A walker moved in the first step if the number of its accepted proposals
-        exceeds the number of later moves.
+        Steps are missing if `thin_by` exceeds 1. They are also missing if walkers moved clearly more often than
+        emcee accepted proposals; this gives a warning. A walker moved in the first step if the number of its
+        accepted proposals exceeds the number of its later moves.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:

@@ -70,8 +70,8 @@ def from_emcee(
         ``x0``, ``x1``, ...
     discard : int or sequence of int
         Number of stored steps at the beginning that are warm-up, as in ``sampler.get_chain``; one number, or one
-        for each ensemble. If different numbers of steps are left, the ensembles are aligned at their ends, and the
-        longer ensembles have more warm-up.
+        for each ensemble. If different numbers of steps are left, the ensembles are aligned at their ends, and
+        more steps of the longer ensembles are discarded. The trace has the same number of warm-up steps for all.
     thin : int
         Keep only every `thin`-th stored step, as in ``sampler.get_chain``.
     thin_by : int
@@ -88,8 +88,8 @@ def from_emcee(
     xarray.DataTree
         The groups of `fmu.analysis.trace.conversion.to_trace`; for an updating problem also ``modes`` and
         ``pairing`` and, unless it is hierarchical or has no modal data, ``identifiability``, as from `fmu.sample`.
-        A blob with the problem's frequencies becomes ``model_frequency`` of ``posterior_predictive``, so that no
-        draw is solved again; other blobs are in the group ``blobs``. The group ``emcee`` has
+        A blob with the problem's frequencies becomes ``model_frequency`` of ``posterior_predictive``, so that the
+        frequencies are not computed again; other blobs are in the group ``blobs``. The group ``emcee`` has
         ``acceptance_fraction`` (chain, walker) of all stored steps; ``autocorrelation_time`` (chain, parameter) by
         emcee's own function, in retained draws; ``stored`` and ``discard`` (chain). ``n_solves`` counts one
         evaluation per walker and step, and one at the start. ``accepted`` tells whether a walker moved in a stored
@@ -101,10 +101,10 @@ def from_emcee(
     FileNotFoundError
         If there is no such file.
     ValueError
-        If there is no ensemble, no steps are stored, a file cannot be read, ensembles differ in size, names or
-        blobs, too few steps are left, names do not fit the chain or the problem, names or blobs cannot be stored,
-        a number is out of range, or the stored log-probabilities are never finite or differ from those of
-        `problem` at five draws.
+        If there is no ensemble, no steps are stored, a file cannot be read or has no run `hdf_name`, ensembles
+        differ in size, names or blobs, too few steps are left, names do not fit the chain, the blobs or the
+        problem, names or blobs cannot be stored, a number is out of range, or the stored log-probabilities are
+        never finite or differ from those of `problem` at five draws.
     TypeError
         If `source` is none of the types above.
 
@@ -171,7 +171,7 @@ class Kept:
 
     @classmethod
     def of(cls, ensembles: list[StoredEnsemble], discard: list[int], thin: int) -> Kept:
-        """Choose the last steps of each ensemble, the same number for all. Raise ValueError if one has no step."""
+        """Choose the same number of last steps in each ensemble; raise ValueError if one has no draw left."""
         each = []
         for ensemble, skipped in zip(ensembles, discard, strict=True):
             stored = len(ensemble.chain)
@@ -200,7 +200,8 @@ class Kept:
 def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnsemble]) -> tuple[str, ...]:
     """Return the parameter names.
 
-    Raise ValueError if two sources disagree, or the names do not fit the stored chain or are not valid.
+    Raise ValueError if `names` or the sampler's names differ from the problem's, if their number does not fit the
+    stored chain, or if a name occurs twice or is not valid.
     """
     ndim, of_sampler = ensembles[0].shape[1], ensembles[0].names
     of_problem = () if problem is None else names_of(problem)

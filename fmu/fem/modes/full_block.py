@@ -153,7 +153,7 @@ class FullBlock(Block):
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
-        """Within a ``with`` block, let an engine's workers do lengthy solves. The results are the same."""
+        """Within a ``with`` block, let an engine's workers do lengthy solves. This does not change the results."""
         before, self._engine = self._engine, engine
         try:
             yield

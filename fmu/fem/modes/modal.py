@@ -30,13 +30,13 @@ def is_rigid(eigenvalues: FloatArray) -> BoolArray:
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
-    """Convert eigenvalues to frequencies √λ / 2π in Hz, with NaN if λ is clearly negative.
+    """Convert eigenvalues λ to frequencies √λ / 2π in Hz, with NaN if λ is clearly negative.
 
     Parameters
     ----------
     eigenvalue : ndarray, shape (..., m), (rad/s)²
-        Modes of one structure along the last axis. A negative λ with |λ| up to 1e-6 of the largest |λ| of these
-        modes belongs to a rigid-body mode with rounding, and counts as zero.
+        Eigenvalues of one structure's modes along the last axis. A negative λ is attributed to rounding, and
+        counts as zero, if |λ| is at most 1e-6 of the largest |λ| of these modes.
     """
     if np.count_nonzero(eigenvalue < 0.0):
         scale = np.fmax.reduce(np.abs(eigenvalue), axis=-1, keepdims=True)
@@ -79,8 +79,8 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
 def fix_sign(shapes: FloatArray) -> FloatArray:
     """Return the shapes with signs chosen so that each shape's largest component by magnitude is positive.
 
-    If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first one is made
-    positive. Rounding then does not determine the sign.
+    If the magnitudes of several components are within a relative 1e-6 of the largest, as in an antisymmetric mode,
+    the first of these components is made positive. Rounding then does not determine the sign.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ from fmu.types import Dof, FloatArray, IntArray
 class Geometry:
     """Coordinates and elements of a structure, for plots, point matching and centres of gravity.
 
-    The mechanics are in the matrices.
+    The geometry does not affect the stiffness and mass matrices.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Geometry:
 
     @cached_property
     def drawn(self) -> IntArray:
-        """Row indices (m,) of plotted nodes: all or, with `ids`, only the ends of lines."""
+        """Row indices (m,) of the plotted nodes: all nodes, or only the ends of lines if `ids` is given."""
         return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
 
     @cached_property
@@ -125,7 +125,7 @@ class RigidArm:
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
-        """Return the point's motion in a direction as weights on the node's motions: to first order, u + θ × r."""
+        """Return the point's motion in a direction, u + θ × offset, as weights on the node's motions u and θ."""
         x, y, z = self.offset
         return {direction: 1.0} | {
             "x": {"ry": z, "rz": -y},
@@ -168,8 +168,8 @@ class SeparableModel:
     ------
     ValueError
         If there is no stiffness or mass term; a term is not symmetric or not finite, or has the wrong shape or
-        number of powers; or `dofs` has the wrong length or a name twice; or `ties` or `motions` need a degree of
-        freedom that is not in `dofs`.
+        number of powers; `dofs` has the wrong length or contains a name twice; a tie refers to a name that is not
+        in `dofs`; or a motion refers to a name that is neither in `dofs` nor tied.
     """
 
     def __init__(
@@ -237,7 +237,7 @@ class SeparableModel:
         Raises
         ------
         ValueError
-            If a term names an unknown parameter or has no real matrix, or as for the class.
+            As for the class, or if a parameter is unknown, a matrix is not real, or a power is not finite.
         """
         names = tuple(parameters)
         K_terms, M_terms = (
@@ -255,19 +255,19 @@ class SeparableModel:
         )
 
     def K(self, theta: ArrayLike) -> sp.csr_array:
-        """Return the sparse stiffness matrix at `theta`, shape (n_parameters,), SI units."""
+        """Return the stiffness matrix at `theta` (n_parameters,) as a sparse array, in SI units."""
         return sum_at(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float))[0])
 
     def M(self, theta: ArrayLike) -> sp.csr_array:
-        """Return the sparse mass matrix at `theta`, shape (n_parameters,), SI units."""
+        """Return the mass matrix at `theta` (n_parameters,) as a sparse array, in SI units."""
         return sum_at(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float))[0])
 
     @cached_property
     def blocks(self) -> tuple[IntArray, ...]:
         """Degrees of freedom in each decoupled block: one array of ascending indices per block.
 
-        The blocks are the connected components of the graph of nonzeros in Σ |K_k| + Σ |M_m|, so that the
-        eigenproblem splits. Entries that are nonzero only because of rounding (as in a rotated element) do not
+        The blocks are the connected components of the graph of nonzeros in Σ |K_k| + Σ |M_m|, so each block is a
+        separate eigenproblem. Entries that are nonzero only because of rounding (as in a rotated element) do not
         connect degrees of freedom.
         """
         rows, columns = [], []
@@ -384,7 +384,7 @@ def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
 
 
 def _check_names(model: SeparableModel) -> None:
-    """Raise ArgumentError unless each row has a distinct name, and ties and motions refer to known names."""
+    """Raise ArgumentError unless `dofs` has a distinct name for each row, and ties and motions use known names."""
     if len(model.dofs) != model.n_dof:
         raise ArgumentError("dofs", f"must name {model.n_dof} degrees of freedom", len(model.dofs))
     twice = first_repeated(model.dofs)

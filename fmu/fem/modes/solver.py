@@ -81,15 +81,17 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
     ----------
     matrix : ndarray or sparse array, shape (n, n)
     solver : {"SuperLU", "PARDISO"}, optional
-        Solver for sparse matrices. Defaults to LAPACK for a definite matrix with a narrow band, otherwise to
-        `sparse_solver`.
+        Solver for sparse matrices. By default, LAPACK factorises a definite matrix with a narrow band, and the
+        solver that `sparse_solver` names factorises all others.
     is_definite : bool
-        Whether the matrix is expected to be positive definite; the factorisation takes longer if it is not.
+        Whether the matrix is expected to be positive definite. If it is expected to be but is not, the
+        factorisation takes longer. Not used for a dense matrix.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the matrix is singular to the last digit; a nearly singular matrix may pass.
+        If the matrix is singular to the last digit, or is dense and not finite. A nearly singular matrix may be
+        factorised without an error.
     MemoryError
         If the factors of a large sparse matrix do not fit in memory, or fit only in single precision, which is too
         inaccurate for this matrix.

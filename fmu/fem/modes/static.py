@@ -89,7 +89,7 @@ class MassMoments:
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return the mass in kg and, if `with_centre`, the centre in m, (n, 1 or 4), at theta (n, n_parameters).
 
-        Also return the derivatives, shape (n, 1 or 4, n_parameters), or None without `gradient`.
+        Also return the derivatives, shape (n, 1 or 4, n_parameters), or None if `gradient` is False.
         """
         moments = np.einsum("nk,kq->nq", self._map.coefficients(theta), self._sums)
         mass = moments[:, :1]
@@ -105,8 +105,9 @@ class MassMoments:
 class StaticDisplacement:
     """Displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load f, where b maps displacements to the measured one.
 
-    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. The basis contains the primal and the dual solution,
-    so the error of u is the product of their errors (Quarteroni, Manzoni & Negri 2016, chapter 3).
+    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. The basis contains the primal and the dual solution
+    at these points. The error of u at any θ is at most the product of the errors of both solutions in the energy
+    norm (Quarteroni, Manzoni & Negri 2016, chapter 3).
 
     Parameters
     ----------
@@ -117,7 +118,8 @@ class StaticDisplacement:
     at : tuple of (place, direction)
         Place and direction of the measured displacement (or rotation).
     points : callable
-        ``points(n)`` returns n parameter vectors, shape (n, n_parameters), in the range where u is needed.
+        Each call ``points(n)`` returns n new parameter vectors, shape (n, n_parameters), in the range where u is
+        needed.
 
     Attributes
     ----------
@@ -180,7 +182,7 @@ class StaticDisplacement:
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return u in m or rad, shape (n, 1), at theta (n, n_parameters), with NaN where K is singular.
 
-        Also return its derivatives, shape (n, 1, n_parameters), or None without `gradient`.
+        Also return its derivatives, shape (n, 1, n_parameters), or None if `gradient` is False.
         """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         K = np.einsum("nk,kij->nij", self._map.coefficients(theta), self._K)

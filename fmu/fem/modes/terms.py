@@ -84,10 +84,10 @@ def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tup
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return the monomial Π theta[:, j] ** powers[j], shape (n,): NaN where undefined, infinite on overflow.
+    """Return the monomial Π theta[:, j] ** powers[j], shape (n,).
 
-    Each power is a repeated product or is computed for one theta at a time, so that a result does not depend on
-    the rest of the batch.
+    It is NaN where it is undefined, and infinite on overflow. Each power is a repeated product or is computed for
+    one theta at a time, so that a result does not depend on the rest of the batch.
     """
     value = np.ones(len(theta))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -303,7 +303,7 @@ def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
     Raises
     ------
     ValueError
-        If a name is not among `names`, or the matrix is not a real matrix.
+        If a name is not among `names`, the matrix is not a real matrix, or a power is not a finite number.
     """
     if isinstance(given, Term):
         return given

@@ -101,10 +101,10 @@ class Mesh:
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return R (3, 3) and t (3,) of the best alignment, and the distinct others that fit about as well.
+    """Return the rotation R (3, 3) and shift t (3,) of an alignment, and a list of others that fit about as well.
 
-    `x` are the points, shape (n, 3). Of the alignments that fit about as well as the best, the one with the
-    smallest rotation is returned first.
+    `x` contains the points, shape (n, 3). Of all alignments that fit about as well as the best one, R and t belong
+    to the one with the smallest rotation. The others differ from it and from each other; see `_differ`.
     """
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)

@@ -96,7 +96,7 @@ def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return cos² of the principal angles between the subspaces that two sets of shapes span, largest first.
 
-    If m ≤ r, the smallest value is 1 if the measured shapes are independent combinations of the computed shapes
+    For m ≤ r, the smallest value is 1 if the measured shapes are independent combinations of the computed shapes
     (Björck & Golub 1973). This is so for close modes that differ only by a rotation among themselves. For two
     single shapes the value is their MAC. Linearly dependent shapes give zeros.
 
@@ -107,7 +107,7 @@ def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (min(m, r),)
+    ndarray, shape (min(n_sensors, m, r),)
     """
     cosines = np.linalg.svd(_orthonormal(measured).T @ _orthonormal(computed), compute_uv=False)
     return np.clip(cosines, 0.0, 1.0) ** 2
@@ -125,13 +125,13 @@ def _orthonormal(shapes: FloatArray) -> FloatArray:
 
 
 def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[int, ...], ...]:
-    """Return groups of modes with close frequencies, each with two or more modes.
+    """Return groups of two or more modes with close frequencies.
 
     Parameters
     ----------
     *frequencies : array_like, shape (n_modes,)
-        Frequencies of the same modes, such as measured and computed. Two modes are close if their relative
-        difference is less than `within` in one of the arrays.
+        Frequencies of the same modes, such as measured and computed frequencies. Two modes are close if their
+        frequencies in one of the arrays have a relative difference of less than `within`.
 
     Returns
     -------
@@ -214,10 +214,11 @@ class Correlation:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Indices of two sensors that appear to be swapped; empty if none do or the data are too few to tell.
+        """Indices of two sensors that appear to be swapped, or an empty tuple.
 
-        Swapping their measured values makes them agree with the model. Swapped sensors are sought separately,
-        because two bad sensors among few do not stand out from the median.
+        Two sensors appear to be swapped if both agree with the model once their measured values are swapped. The
+        tuple is empty if no two sensors do, or if there are too few sensors or modes to tell. This check does not
+        compare ECoMACs with their median, because two bad sensors among few do not stand out from the median.
         """
         worst = np.argsort(-self.ecomac, kind="stable")[:_TRIED].tolist()
         if not self._is_enough or self.ecomac[worst[0]] <= SUSPECT:
@@ -229,7 +230,7 @@ class Correlation:
         return tuple(sorted(pair)) if is_explained else ()
 
     def _ecomac_exchanged(self, pair: tuple[int, ...]) -> FloatArray:
-        """Return each sensor's ECoMAC after swapping two measured sensors, shape (n_sensors,)."""
+        """Return each sensor's ECoMAC after swapping the measured values of two sensors, shape (n_sensors,)."""
         order = np.arange(len(self.sensors))
         order[list(pair)] = pair[::-1]
         return ecomac(self.measured[order], self.computed)
@@ -260,7 +261,10 @@ class Correlation:
         return found
 
     def sensors_in_doubt(self) -> str:
-        """Return the worst suspects, at most five, as text such as ``"sensors 3 x and 6 x"``; empty if none."""
+        """Return the worst suspects, at most five, as text such as ``"sensors 3 x and 6 x"``.
+
+        The text is empty if no sensor is suspect.
+        """
         named = [self.sensors[j] for j in sorted(self.suspects[:_MOST_NAMED].tolist())]
         return f"sensor{'s' * (len(named) > 1)} {names_in_words(named)}" if named else ""
 

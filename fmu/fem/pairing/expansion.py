@@ -81,8 +81,8 @@ def dynamic(
 ) -> FloatArray:
     """Return shapes that equal the measured shapes at the sensors and need no force anywhere else.
 
-    This is dynamic expansion (Kidder 1973, AIAA Journal 11, 251). Each expanded shape u satisfies
-    (K − ω²M) u = Cᵀ f and C u = φ, with the measured ω and the forces f at the sensors.
+    This is dynamic expansion (Kidder 1973, AIAA Journal 11, 251). The expanded shape u of a measured shape φ with
+    angular frequency ω satisfies (K − ω²M) u = Cᵀ f and C u = φ, where f are the forces at the sensors.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
     """Return the reason why the full model fails, or None if no reason is found.
 
-    A reduced model is not examined, because the full model is solved wherever it fails.
+    A reduced model is not examined, because the full model is solved wherever the reduced model fails.
     """
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():

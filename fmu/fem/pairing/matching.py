@@ -162,10 +162,10 @@ def match(
     Raises
     ------
     ValueError
-        If the unit is unknown, there are no points, a coordinate is not finite, there are fewer than two nodes, a
-        known point or node does not exist, fewer than three points are known or these are on one line, or the
-        points do not fit the mesh or fit much better mirrored. If points do not fit, the message says if they
-        would fit in another unit, or mirrored.
+        If the unit is unknown, there are no points, a coordinate is not finite, there are fewer than two nodes,
+        `known` names a point or node that does not exist, `known` has fewer than three points or all of them are
+        on one line, or the points do not fit the mesh. If points do not fit, the message says if they would fit in
+        another unit, or mirrored. Without `known`, points that fit much better mirrored are an error too.
     """
     if unit not in UNITS:
         raise ValueError(f"unit: must be one of {', '.join(UNITS)} (got {unit!r})")
@@ -206,9 +206,9 @@ def match_points(
 ) -> Matching:
     """Match each measurement point to the nearest model node, after a rigid alignment if one is needed.
 
-    ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` then has the sensors at these nodes, in
-    the model directions that correspond to the test's axes. Nodes inside solids, and nodes that neither move nor
-    are plotted, are not used.
+    If `found` is the result, ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` has its sensors
+    at the matched nodes, in the model directions that correspond to the test's axes. Nodes inside solids, and
+    nodes that neither move nor are plotted, are not used.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ class ModalModel:
 
     @property
     def parts(self) -> tuple[ModalModel, ...]:
-        """One model per test; only the model itself if it describes a single test."""
+        """The models that are solved for the tests; only the model itself if it describes a single test."""
         return (self,)
 
     @property
@@ -141,9 +141,9 @@ class ModalModel:
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the time in s that a user's function takes at theta (n_parameters,), or None if there is none.
+        """Return the time in s that the user's function takes at theta (n_parameters,).
 
-        The function is called there unless its solve is known.
+        Return None if there is no function. The function may be called at theta; see `BlackBoxModel.seconds_at`.
         """
         return self.functions[0].seconds_at(theta) if self.functions else None
 
@@ -213,9 +213,9 @@ class ModalModel:
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies, gradients, and second derivatives along directions that are given later.
 
-        The result's `gradient` is J (n, n_modes, n_parameters). Its ``curvature(d)``, with d of the same shape,
-        returns H_i d_i for each mode i, where H_i is the matrix of second derivatives of frequency i. For
-        structures given by matrices, both come from one eigenproblem. By default, the second derivatives are
+        The result's `gradient` has shape (n, n_modes, n_parameters). Its method ``curvature(d)``, with d of the
+        same shape, returns H_i d_i for each mode i, where H_i is the matrix of second derivatives of frequency i.
+        For structures given by matrices, both come from one eigenproblem. By default, the second derivatives are
         differences of gradients, at a cost of 2 n_modes more gradients per theta.
 
         Parameters

@@ -83,9 +83,10 @@ class PairedBlackBox(ModalModel):
         Raises
         ------
         ValueError
-            If the pairing is unknown, or modes are paired by number and two have the same one. If, at the starting
-            point, the function fails, gives too few modes or invalid frequencies, does not reproduce a stored
-            result, or gives shapes that are not finite or do not fit the sensors although modes are paired by MAC.
+            If the pairing is unknown, or modes are paired by number and two measured modes have the same number.
+            Also if, at the starting point, the function fails, gives too few modes or invalid frequencies, does
+            not reproduce a stored result, or gives shapes that are not finite or do not fit the sensors although
+            modes are paired by MAC.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -133,7 +134,7 @@ class PairedBlackBox(ModalModel):
         """Return the predicted frequencies and sensor shapes at theta (n, n_parameters).
 
         Derivatives are included if `gradient`. Shape derivatives are central differences. Frequency derivatives
-        are too if the function returns no gradient.
+        are the function's own gradients or, if it returns no gradients, central differences.
 
         Raises
         ------

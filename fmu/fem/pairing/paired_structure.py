@@ -112,9 +112,9 @@ class PairedStructure(ModalModel):
         model : SeparableModel
         pairing : {"shape", "index", "soft"}
             ``"shape"``: one-to-one assignment by MAC with the measured shapes at the sensors. If no shapes were
-            measured, the MAC is with the model's visible modes at `reference`, at all translations. ``"index"``:
-            by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, but every measured mode is compared
-            with all candidates, with weights.
+            measured, the MAC is computed with the model's visible modes at `reference`, at all translations.
+            ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, but every measured mode
+            is compared with all candidates, with weights.
         numbers : tuple of int
             Number (from 1) of each measured mode.
         elastic_from_hz : float, optional
@@ -122,7 +122,8 @@ class PairedStructure(ModalModel):
             frequency are then rigid-body modes of a free structure. By default, `numbers` count rigid-body modes
             too. Used only by ``"index"``.
         sensors : tuple of (node, direction)
-            Measured degrees of freedom; all translations if empty.
+            Measured degrees of freedom. If empty, a mode that moves any translation is visible, and `observed`
+            gives no shapes.
         reference : ndarray, shape (n_parameters,)
             Model parameters before updating.
         shapes : ndarray, shape (n_sensors, n_modes), optional
@@ -137,7 +138,8 @@ class PairedStructure(ModalModel):
         ------
         ValueError
             If the pairing is unknown, the model has too few modes, a sensor is not on the model, the sensors
-            cannot see the modes, `numbers` are not distinct, or `softness` is not positive and finite.
+            cannot see the modes, `numbers` are not distinct or not positive, or `softness` is not positive or not
+            finite.
         """
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
@@ -311,7 +313,7 @@ class PairedStructure(ModalModel):
 
     @property
     def solver(self) -> str:
-        """Name of the solver for the largest block, unless its matrices have a narrow band.
+        """Name of the solver for the largest block, without regard to LAPACK's solver for narrow bands.
 
         It is LAPACK for up to `DENSE_LIMIT` degrees of freedom, otherwise the sparse solver in use.
         """
@@ -353,7 +355,7 @@ class PairedStructure(ModalModel):
 
 
 def structure_of(model: ModalModel) -> PairedStructure | None:
-    """Return the structure that a model is, or that it approximates; None if it is not given by matrices."""
+    """Return the model, or the true model if it is an approximation; None if that is not given by matrices."""
     truth = model.truth
     return truth if isinstance(truth, PairedStructure) else None
 

@@ -65,8 +65,8 @@ def reference_modes(
 def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
     """Return the number of rigid-body modes at theta (n_parameters,).
 
-    A mode counts as rigid if its frequency is negligible compared with the highest of the computed modes. With a
-    very stiff spring, this would be true of every other mode. If a measured frequency `elastic_hz` is given, a
+    A mode counts as rigid if its frequency is negligible compared with the highest computed frequency. With a very
+    stiff spring, this would be true of all other modes. If a measured frequency `elastic_hz` is given, a
     rigid-body mode must therefore lie far below it too.
     """
     count = min(n_modes + 7, count_modes(blocks))  # at most six rigid-body modes, and one elastic mode

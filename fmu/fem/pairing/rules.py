@@ -67,8 +67,8 @@ class Pairing(ABC):
     ) -> tuple[IntArray, IntArray, Solved]:
         """Return the block and rank of each paired mode, (n, n_modes) each, and the solved modes keyed by block.
 
-        If modes are solved for this, block and rank are −1 in rows where a solve failed. The dict is empty unless
-        shapes are solved for. With `gradient`, enough modes are computed for `Block.seen` to give derivatives.
+        If the pairing depends on solved modes, block and rank are −1 in rows where a solve failed. The dict is
+        empty unless shapes are compared. With `gradient`, its modes are enough for derivatives by `Block.seen`.
         """
 
 
@@ -130,7 +130,7 @@ class RankPairing(Pairing):
     def locate(
         self, blocks: Sequence[Block], theta: FloatArray, gradient: bool, observed: Observed = None
     ) -> tuple[IntArray, IntArray, Solved]:
-        """Return the block and rank of each mode at theta (n, n_parameters), (n, m) each, and an empty dict."""
+        """Return each mode's block and rank, (n, n_modes) each, at theta (n, n_parameters), and an empty dict."""
         block, rank = self._labels
         return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
 

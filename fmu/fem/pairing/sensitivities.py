@@ -26,7 +26,7 @@ _STEP = 1e-4
 
 
 class Steps(NamedTuple):
-    """Sizes and limits for the difference steps applied to gradients.
+    """Parameter sizes and bounds that limit the steps for differences of gradients.
 
     Attributes
     ----------
@@ -99,8 +99,8 @@ class SensitivitiesByDifferences(Sensitivities):
     def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
         """Return second derivatives along `d` from 2 m gradients per theta; see `Sensitivities.curvature`.
 
-        `of_shapes` is ignored. At a bound, the midpoint of the difference is moved inwards by one step, which
-        makes the relative error as large as the step.
+        `of_shapes` is ignored. Near a bound, the midpoint of the difference is moved inwards by up to one step, so
+        the relative error may be as large as the step.
         """
         n, m, p = d.shape
         lower, upper = self._steps.bounds

@@ -49,8 +49,9 @@ class CommandModel(BlackBoxModel):
     names : sequence of str
         Parameter names in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
     template : path
-        Template of the input deck. A placeholder may have one of the formats in `fmu.formats.decks`: ``{E1:.9e}``.
-        The filled deck has the name of the template, without ``.in`` at the end.
+        Template of the input deck, relative to `folder`. A placeholder may have one of the formats in
+        `fmu.formats.decks`, such as ``{E1:.9e}``. The filled deck has the name of the template, without ``.in`` at
+        the end.
     command : sequence of str
         The program and its arguments, with ``{job}`` and ``{deck}`` for the deck's name without and with its
         suffix. They are not passed through a shell.
@@ -60,7 +61,7 @@ class CommandModel(BlackBoxModel):
         One of `fmu.formats.modes.READERS`, given instead of `frequencies`. It reads the frequencies, and the
         shapes at the sensors, from a result file of the program.
     result : str, optional
-        The file for the reader, with ``{job}`` and ``{deck}``. Defaults to the program's own, such as
+        The file for the reader, with ``{job}`` and ``{deck}``. Defaults to the usual file for this reader, such as
         ``{job}.f06``.
     inputs : sequence of str
         Other files that the program needs, relative to `folder`. They are copied to the folder of each run.
@@ -88,6 +89,8 @@ class CommandModel(BlackBoxModel):
     CommandError
         A ValueError that lists all invalid arguments: for example a template that lacks the placeholder of a
         parameter, or a program or file that does not exist.
+    ValueError
+        If an argument has the wrong type, or `step` is out of range.
     """
 
     place = "model.command"
@@ -149,7 +152,7 @@ class CommandModel(BlackBoxModel):
         return self._copy_with(tuple(sensors))
 
     def configuration(self) -> dict[str, object]:
-        """Return data that identify the model: hashes of its files, the command and the reader."""
+        """Return data that identify the model, such as hashes of its files, the command and the reader."""
         return {"function": self.name, "batched": False, "step": self.step, **self._key}
 
     def _store(self) -> SolveStore:

@@ -58,8 +58,8 @@ class SurrogateModel(ModalModel):
 
     The modes are paired at each design point before the processes are fitted, so that a process follows its mode
     even where modes cross. If modes are paired by number, the eigenvalues of two close modes are replaced by
-    smooth functions of both (`fmu.fem.surrogate.close_pairs`). Before the fit, shapes are scaled to unit length at
-    the sensors, and get the sign of the reference shape.
+    smooth functions of both (`fmu.fem.surrogate.close_pairs`). Before the fit, each shape is scaled to unit length
+    at the sensors, and its sign is chosen to agree with the reference shape.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ class SurrogateModel(ModalModel):
     reference : ndarray, shape (n_sensors, n_modes), optional
         Measured shapes, which determine the signs. If they are not given, shapes are not predicted.
     before : SurrogateModel, optional
-        A surrogate with a smaller design. Its hyper-parameters are kept until there are 15 % more successful
-        solves than at their last search; a new search then begins at their values. It is ignored if it has other
-        close pairs.
+        A surrogate with a smaller design, which must also predict shapes if `reference` is given. Its
+        hyper-parameters are kept until there are 15 % more successful solves than at their last search; a new
+        search then begins at their values. `before` is ignored if its close pairs are not those of this design.
 
     Attributes
     ----------
@@ -165,7 +165,10 @@ class SurrogateModel(ModalModel):
         return ModalPrediction(f_hz, s, df, ds, v_hz2, sv, dv_hz2, ds if dsv is None else dsv)
 
     def limit_variance(self, theta: FloatArray) -> None:
-        """Limit all variances to the largest at posterior draws theta (n, n_parameters); see `Process.limit`."""
+        """Limit the variances of each process to its largest variance at posterior draws theta (n, n_parameters).
+
+        See `Process.limit`.
+        """
         x = self.coordinates.to_x(theta)
         with single_thread():
             for process in (*self.of_frequencies, *self.of_shapes):
@@ -174,7 +177,7 @@ class SurrogateModel(ModalModel):
     def variances(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variances of frequencies (n, n_modes) in Hz², and of shapes (n, n_sensors, n_modes).
 
-        They are as returned by `observed`, but without the limit set by `limit_variance`.
+        They are computed as in `observed`, but the variances of the processes are not limited to `Process.most`.
         """
         x = self.coordinates.to_x(theta)
         z, v = self.pairs.values(*self._learnt(x, limited=False))
@@ -221,9 +224,10 @@ def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
 
 
 def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
-    """Return the value and variance at x, and their derivatives with respect to theta.
+    """Return the expected values and variances of a process at x, and their derivatives with respect to theta.
 
-    The derivatives are None if `by_theta` is None.
+    `by_theta` contains the derivatives of x with respect to theta, shape (n, 1, n_parameters). If it is None, the
+    two derivatives that are returned are None too.
     """
     if by_theta is None:
         return *process.predict(x), None, None
@@ -232,11 +236,12 @@ def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> An
 
 
 def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | None, search: bool) -> list[Process]:
-    """Fit one process to all q quantities y (N, q) at x, or one to each; return the processes in a list.
+    """Fit one shared process, or q separate ones, to q quantities y (N, q) at x (N, d); return them in a list.
 
     A few points can determine common length scales, but not separate ones for every quantity. Separate processes
     are used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464). If
-    `search` is False and `before` is given, the choice made for `before` and its hyper-parameters are kept.
+    `search` is False and `before` is given, the processes are shared or separate as in `before`, and keep its
+    hyper-parameters.
     """
     if not search and before is not None:
         if len(before) == 1:

@@ -1,9 +1,10 @@
 """Constraints in CalculiX and Abaqus input decks: *EQUATION, *BOUNDARY and *TRANSFORM.
 
-CalculiX eliminates dependent degrees of freedom before it writes its matrices, which are along global axes. If
-*TRANSFORM rotates a node's axes, CalculiX chooses the degree of freedom that an equation makes dependent. It is in
-the global direction with the same number, or in the next one along which the local axis has a component (CalculiX,
-*User's manual*). `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
+CalculiX eliminates dependent degrees of freedom before it writes its matrices. The rows of these matrices belong
+to directions along global axes. If *TRANSFORM rotates the axes of the first node in an equation, CalculiX makes a
+displacement of this node along a global axis dependent. It tries the global axis with the same number as the local
+direction in the first term, then the following axes, and takes the first along which the local axis has a
+component (CalculiX, *User's manual*). `fmu.formats.constraints.calculix_bodies` reads the rigid bodies.
 
 Supports remain in effect in later steps, unless the first *BOUNDARY of a step has OP=NEW, which removes all
 earlier supports. On other *BOUNDARY keywords, OP=NEW has no effect (*User's manual*, ``*BOUNDARY``).
@@ -52,9 +53,10 @@ def constraints_of(
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
 ) -> tuple[list[Equation], set[DofName], list[str]]:
-    """Return the constraint equations along global axes, the fixed degrees of freedom, and notes on skipped input.
+    """Return the constraint equations, the fixed degrees of freedom, and notes on skipped input.
 
-    Sets in the deck are added to `found`.
+    The degrees of freedom are along global axes. If *TRANSFORM rotates the axes of a node, a support that fixes
+    one of its displacements is returned as an equation. Sets in the deck are added to `found`.
 
     Parameters
     ----------

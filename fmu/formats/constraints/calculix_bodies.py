@@ -65,6 +65,7 @@ def bodies_of(
     is_numbered : bool
         Whether the numbers of the nodes that CalculiX adds are known. This requires that the deck requests matrix
         storage and contains only solids and point elements. After a skipped constraint, they are taken as unknown.
+        If they are unknown, every coupling and every body without a ROT NODE is skipped, with a note.
     held : set of (node, direction)
         Degrees of freedom that supports fix. The set is changed in place: if CalculiX adds a rotation node to a
         body, a fixed rotation of the reference node is replaced by the added node's displacement.
@@ -134,7 +135,8 @@ def _couplings(
 ) -> Iterator[_Body]:
     """Yield each kinematic coupling as a rigid body; append a note to `notes` for each skipped coupling.
 
-    Raise RefusedError or ValueError if a coupling is malformed, has no nodes or names no known surface.
+    A coupling is skipped if it has ORIENTATION or is not kinematic. Raise RefusedError or ValueError if a coupling
+    is malformed, has no nodes, or names an unknown node, element, set or surface.
     """
     for one, kind in pairwise([*found.keywords, Keyword("", {}, 0)]):
         if one.name != "COUPLING":

@@ -106,7 +106,8 @@ class Constraints:
         """Return the ids of the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
 
         `known` lists the ids of the sets in the bulk data. All of them are active if the file has no ``BEGIN
-        BULK``, otherwise only those that the case control selects, if any.
+        BULK``, otherwise only those that the case control selects, if any. A selected MPCADD or SPCADD is replaced
+        by the sets that it combines.
 
         Raises
         ------
@@ -133,7 +134,7 @@ class Constraints:
 def equations_of(
     constraints: Constraints, point: Callable[[int], Point], scalars: Collection[int]
 ) -> list[Equation]:
-    """Return the equations of all active constraints, along each node's own axes.
+    """Return the equations of all active constraints, with directions along each node's own axes.
 
     If the deck is for MYSTRAN, a note on each RBE3 whose equations differ from Nastran's is added to
     `constraints.notes`.

@@ -1,14 +1,16 @@
 """Constraint equations for rigid links, and for points that follow the weighted mean motion of others (RBE3).
 
-A small rigid-body motion x = (u, θ) at a reference point moves a point at distance r by u + θ × r and rotates it
-by θ. A point that follows the weighted mean of others moves with the rigid body that fits these points best,
+A small rigid-body motion x = (u, θ) at a reference point moves another point by u + θ × r and rotates it by θ,
+where r is the vector from the reference point to the other point. In an RBE3, the reference point has the
+rigid-body motion x that best fits the motions u_i in the followed degrees of freedom i, with weights w_i,
 
     minimise Σ_i w_i (u_i − H_iᵀ x)²    ⇒    Σ_i w_i H_i H_iᵀ x = Σ_i w_i H_i u_i,
 
-where H_iᵀ x is the motion along degree of freedom i (MYSTRAN, *User's reference manual*, appendix E). Since
-version 70.7, the result in Nastran does not depend on the units (MSC Nastran, *Quick reference guide*, RBE3). The
-weights of rotations are multiplied by L², where L is the points' mean distance from the reference point. L has no
-effect if no rotations are followed. The result has not been compared with Nastran itself.
+where H_iᵀ x is the motion that x causes in degree of freedom i (MYSTRAN, *User's reference manual*, appendix E).
+Since version 70.7, the result in Nastran does not depend on the units (MSC Nastran, *Quick reference guide*,
+RBE3). For Nastran, the weights of rotations are therefore multiplied by L², where L is the mean distance of the
+followed points from the reference point; for MYSTRAN, they are not. L has no effect if no rotations are followed.
+The result has not been compared with Nastran itself.
 """
 
 from __future__ import annotations
@@ -51,7 +53,7 @@ ALL = (1, 2, 3, 4, 5, 6)
 def rigid_motion(point: Point, reference: Point) -> FloatArray:
     """Return the matrix S in u_point = S u_reference for two points on a rigid body, shape (6, 6).
 
-    Each motion is along the axes of its own node.
+    The components of each motion are along the axes of its own node.
     """
     x, y, z = point.place - reference.place
     turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # θ × r = turned θ

@@ -5,7 +5,7 @@ freedom q, so T = (I − C)⁻¹ P. Without circular dependencies C is nilpotent
 
     (I − C)⁻¹ = (I + C)(I + C²)(I + C⁴) …
 
-A chain of n equations therefore takes log₂ n products of sparse matrices. The matrices of the constrained
+A chain of n equations therefore takes only about log₂ n of these sparse factors. The matrices of the constrained
 structure are K_q = Tᵀ K T and M_q = Tᵀ M T.
 """
 

@@ -1,11 +1,12 @@
 """Reader for frequency response functions stored as arrays: NumPy ``.npz``, MATLAB ``.mat`` and HDF5 files.
 
-The arrays have the names of the attributes of `fmu.FRFData`, or a common name in `NAMES`. Other names are given by
-``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs has the
+Each array has the name of an attribute of `fmu.FRFData`, or another common name in `NAMES`. Other names are given
+by ``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs has the
 shape (n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines; a square one is taken as
 (n_lines, n_frfs) in ``.mat`` files, and otherwise as (n_frfs, n_lines). An array (n_lines, n_responses, n_drives),
-as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive. Points are rows of
-text, such as ``"tip z"``, or two columns of text with places and directions. Nothing is unpickled.
+as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive. Its points may
+be listed as n_responses responses and n_drives drives, instead of a response and a drive for each FRF. Points are
+rows of text, such as ``"tip z"``, or two columns of text with places and directions. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
     name : str
         Name of the file, for messages.
     arrays : mapping of str to ndarray
-        Arrays by their names in the file.
+        The arrays, keyed by their names in the file.
     wanted : Wanted
     lines_first : bool
         Whether frequency lines run along the first axis if the FRF matrix is square.
@@ -100,9 +101,9 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
     Raises
     ------
     ModesError
-        If there are no frequencies or FRFs, if arrays are not numeric, too large or of shapes that do not match,
-        if `wanted` names an unknown array or FRF, or if the points are neither in the file nor given, or their
-        number is wrong.
+        If there are no frequencies or FRFs, if arrays are not numeric, are too large or do not have matching
+        shapes, if `wanted` names an unknown array or FRF, or if the points are neither in the file nor given, or
+        their number is wrong.
     """
     found = {attribute: _find(name, arrays, attribute, wanted.variables) for attribute in NAMES}
     for attribute in ("frequencies_hz", "values"):

@@ -72,10 +72,10 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
 
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
-        """Return the FRFs whose numbers (from 1) are in `frfs`, or all of them if it is None.
+        """Return the FRFs whose numbers (from 1) are in `frfs`, in that order, or all FRFs if `frfs` is None.
 
-        Raise ModesError if `frfs` is empty, or the file has no FRF of such a number; `name` is the file name for
-        the message.
+        Raise ModesError if `frfs` is empty, or contains a number that no FRF has. `name` is the file name for the
+        message.
         """
         if frfs is None:
             return self

@@ -23,8 +23,9 @@ def read_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     ImportError
         If the file is a universal file, and pyuff is not installed.
     ValueError
-        If the suffix is unknown, an argument does not apply to the format, the file is invalid, the requested FRFs
-        are missing, or h5py is needed and not installed.
+        If the suffix is unknown, an argument does not apply to the format, the file is invalid or too large, the
+        requested FRFs are missing, the points of the FRFs are unknown or their number is wrong, or h5py is needed
+        and not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in _FORMAT_OF:

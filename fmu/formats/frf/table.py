@@ -145,7 +145,10 @@ def _read_long(
 
 
 def _check_pair(parts: Sequence[str], of: str, found: list[str]) -> None:
-    """Append an error to `found` unless the columns `parts` are re and im, or amplitude and phase_deg."""
+    """Append an error to `found` unless an FRF has the columns re and im, or amplitude and phase_deg.
+
+    `parts` lists its columns, which may also include coherence and sd. `of` names the FRF in the message.
+    """
     if sorted(name for name in parts if name not in _OPTIONAL) not in [sorted(pair) for pair in _PAIRS]:
         found.append(f"must have columns re and im, or amplitude and phase_deg{of} (got {names_shown(parts)})")
 

@@ -3,8 +3,8 @@
 pyuff reads the datasets, which may be text or binary, in single or double precision, with even or uneven spacing
 (University of Cincinnati, *Universal File Formats for Modal Analysis Testing*). A function of type 4 is an FRF,
 and one of type 6 is a coherence. The data types of the ordinate and its denominator determine the kind of FRF, and
-dataset 164 gives the units. Directions are along the axes of the node's displacement coordinate system (datasets
-15 or 2411, with 18 or 2420).
+dataset 164 gives the units. Directions are along the axes of a node's displacement coordinate system. Dataset 15
+or 2411 gives the number of this system, and dataset 18 or 2420 defines it.
 """
 
 from __future__ import annotations
@@ -278,7 +278,7 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
 def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
     """Return the coherence of each FRF, shape (n_frfs, n_lines).
 
-    Return None unless every FRF has a coherence with as many lines.
+    Return None if an FRF has no coherence, or its coherence has a different number of lines.
     """
     ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
     of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}

@@ -126,11 +126,12 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     Raises
     ------
     ValueError
-        If an element has a wrong number of nodes or entries, or directions other than 1 to 6.
+        If an element has a wrong number of nodes or entries, or directions other than 1 to 6, or if there is a
+        word where a number is expected.
     RefusedError
         If there is no matrix with this name; if the file contains both and `variable` is None; if an element
         occurs twice, or has a matrix that is unsymmetric or neither stiffness nor mass; or if there are too many
-        entries or rows.
+        entries or rows, or too many nodes in an element.
     """
     places, entries, n, held = list[IntArray](), list[FloatArray](), 0, 0
     kinds, seen, index = dict[str, None](), set[tuple[str, str]](), dict[int, int]()

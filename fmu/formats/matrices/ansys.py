@@ -32,7 +32,7 @@ NAMES = ("stiffness", "mass")
 def full_arrays(path: Path) -> dict[str, AnyArray]:
     """Read the arrays in a ``.full`` file, keyed by name. This requires ansys-mapdl-reader.
 
-    An absent matrix has no arrays.
+    If the file lacks the stiffness or mass matrix, the arrays of that matrix are left out.
 
     Raises
     ------
@@ -79,8 +79,9 @@ def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
 def _read(path: Path, variable: str | None) -> Labelled:
     """Read the stiffness or mass matrix, with both triangles filled and row names.
 
-    Reading the mass empties the cache. Raise RefusedError if the file cannot be read or has no such matrix, or if
-    a row has no direction or is neither a displacement nor a rotation.
+    Reading the mass empties the cache. Raise RefusedError if the file cannot be read or has no such matrix, if it
+    has both and `variable` is None, if the matrix is too large, or if a row has no direction or is neither a
+    displacement nor a rotation.
     """
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)

@@ -7,9 +7,9 @@ The step of the input deck must be::
 
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
 ``job.dof`` is the name ``node.direction`` of row i. CalculiX expands shells and beams into solids, so several rows
-can have the same node's name. These rows are given new node ids above the ids in the file, and the displacement of
-the original node is their mean. ``job.12d`` lists the expanded nodes. Without that file, every name that occurs
-more than once is assumed to be expanded.
+can have the same name. The nodes of these rows are given new ids above the ids in the file, and the displacement
+of the original node is the mean of the new nodes' displacements. ``job.12d`` lists the expanded nodes. Without
+that file, every name that occurs more than once is assumed to belong to an expanded node.
 """
 
 from __future__ import annotations

@@ -73,9 +73,9 @@ def _lines(file: BinaryIO, count: int) -> Iterator[str]:
 
 
 def _count(line: str, at: int) -> int:
-    """Return the integer in the 14-character field of a header line that begins at column `at`.
+    """Return the whole number in a header line's 14-character field.
 
-    Raise ValueError if the field has no digits.
+    The field begins at column `at`, counted from 0. Raise ValueError if it does not contain a whole number.
     """
     word = line[at : at + 14].strip()
     if not word.isdecimal():

@@ -2,9 +2,10 @@
 
 A matrix is a two-dimensional dataset, or a group with the arrays of a sparse matrix: ``data``, ``indices``,
 ``indptr`` and ``shape`` (CSR, or CSC if an attribute such as ``format`` says so); ``data``, ``row``, ``col`` and
-``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
+``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute. If it is
+missing, the indices determine the size.
 
-A maliciously broken file can crash the HDF5 library and the process: read only files that you trust.
+A deliberately corrupted file can crash the HDF5 library and the process: read only files that you trust.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 def _part(group: h5py.Group, name: str) -> AnyArray:
     """Return one component array of a sparse matrix.
 
-    Raise RefusedError if it is a group, or a soft or external link.
+    Raise RefusedError if it is a group, or a soft or external link, or if `_numbers` refuses it.
     """
     if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")

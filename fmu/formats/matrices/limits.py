@@ -51,7 +51,8 @@ class Labelled(NamedTuple):
     notes : tuple of str
         One sentence for each triangle that was filled in.
     in_input_order : bool
-        Whether unnamed rows follow the order in which the deck defines the nodes, as in MYSTRAN.
+        Whether unnamed rows follow MYSTRAN's order of nodes, which `fmu.formats.models.exported.Mesh.order` gives.
+        Otherwise they follow ascending node ids.
     is_whole : bool
         True if the matrix is known to include no supports or constraints, like a sum of element matrices.
     """
@@ -89,7 +90,10 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """Raised when a file lacks required content, exceeds a size limit, or cannot be read in a separate process.
+    """Raised when a file is refused, with a message for the user.
+
+    Reasons are missing or unsupported content, a size limit that is exceeded, a constraint that cannot be applied,
+    or a reader that fails in its separate process.
 
     Attributes
     ----------
@@ -160,8 +164,8 @@ def rows_within(n_rows: int) -> None:
 def check_indices(matrix: sp.sparray) -> None:
     """Raise ValueError if a compressed sparse matrix has an index out of range, or pointers that decrease.
 
-    Other matrices pass. SciPy's full check misses wrong index pointers if the last pointer is zero or a difference
-    overflows.
+    Matrices in other formats are not checked. The pointers are checked separately, because SciPy's full check
+    misses wrong pointers if the last pointer is zero or a difference overflows.
     """
     if matrix.format not in ("csr", "csc"):
         return

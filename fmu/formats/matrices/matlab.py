@@ -77,10 +77,10 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     Raises
     ------
     ValueError, zlib.error
-        If the content is broken.
+        If the file was not written in a version from 5 to 7, or its content is broken.
     RefusedError
         If there is no such matrix, there are several and `variable` is None, or the matrix is complex or too
-        large; or if the row names are invalid.
+        large; if the file has too many variables; or if the row names are invalid.
     """
     file.seek(126)
     order = {b"IM": "<", b"MI": ">"}.get(file.read(2))
@@ -140,7 +140,8 @@ def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
 def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, _Variable]]:
     """Yield the name and header of every numeric matrix in a file, including those in structs.
 
-    Raise ValueError if the file is broken, and RefusedError if it has too many variables.
+    Structs inside structs and arrays of structs are skipped. Raise ValueError or zlib.error if the file is broken,
+    and RefusedError if it has too many variables, or a struct that is too large.
     """
     at = 128
     for _ in range(MOST_NAMES):

@@ -44,7 +44,12 @@ _SIZE = re.compile(r"\s*(?:,\s*(\d{1,9})\s*,\s*(\d{1,9})\s*)?\)")
 
 
 class _Place(NamedTuple):
-    """Where a matrix is defined in the text: the function, the position of its numbers, and the size as text."""
+    """Where a matrix is defined in the text.
+
+    `function` is ``"sparse"``, ``"spconvert"``, or empty for a full matrix. The numbers of the matrix begin at
+    `at`. For a matrix built from a table, `size` contains the words for the row and column counts, or is None if
+    they are not given; for other matrices, it is None.
+    """
 
     function: str
     at: int

@@ -106,7 +106,7 @@ def _line(file: BinaryIO) -> str:
 def _banner(line: str) -> list[str]:
     """Return the layout, field and symmetry given in the banner, in lower case.
 
-    Raise ValueError if the banner is of an unknown kind.
+    Raise ValueError unless the banner announces a matrix in the coordinate or array layout.
     """
     words = line.lower().split()
     if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):

@@ -15,8 +15,8 @@
 =====================  ===============================================================================
 
 A full n × 3 array with n > 3 is taken for a sparse matrix if its first two columns are whole numbers from 1: row,
-column and entry, as for MATLAB's ``spconvert``. If only one triangle has entries, the other is filled in, and a
-note says so.
+column and entry, as for MATLAB's ``spconvert``. If such a matrix, or a sparse matrix in an ``.m`` file, has
+entries in only one triangle, the other triangle is filled in, and a note says so.
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. fmu has its own readers where
 SciPy's readers crash the process on broken files (``.mat``, ``.mtx``). The library that reads Ansys files also
@@ -108,9 +108,10 @@ def read_labelled(
     Raises
     ------
     ValueError
-        If the file does not exist, is too large or of an unknown format, contains no real, finite, square and
-        symmetric matrix, or contains several matrices and `variable` is None; or if the library that reads it is
-        not installed. The message begins with ``variable:`` or ``triangle:`` if that argument is at fault.
+        If the file does not exist, is too large, has an unknown format, or contains no real, finite, square and
+        symmetric matrix; if it contains several matrices and `variable` is None, or no matrix named `variable`; if
+        its entries contradict `triangle`; or if the library that reads it is not installed. The message begins
+        with ``variable:`` or ``triangle:`` if that argument is at fault.
     """
     suffix = _suffix(path)
     advice = how_to_export(suffix)
@@ -227,7 +228,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice for the user if a matrix has entries in only one triangle, or an empty string if in both."""
+    """Return advice for the user if a matrix has entries in only one triangle, otherwise an empty string."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""

@@ -52,18 +52,19 @@ def assemble(
     where : sequence of str
         The argument that gave each matrix, for messages.
     mesh : Mesh, optional
-        Its constraints are applied to matrices that have rows for dependent degrees of freedom. Otherwise they are
-        used only for the motions of these degrees of freedom; see `fmu.formats.models.constrained`. If nodes of
-        the mesh have their own axes, matrices are rotated to global axes where all three displacements (or
-        rotations) of a node have rows. Otherwise the rows keep their axes, and displacements (or rotations) along
-        global axes are weighted sums of degrees of freedom.
+        Its constraints and supports are applied, unless the matrices already include them. In that case, the
+        constraints are used only for the motions of dependent degrees of freedom; see
+        `fmu.formats.models.constrained`. If nodes of the mesh have their own axes, matrices are rotated to global
+        axes where all three displacements (or rotations) of a node have rows. Where some of the three have no row,
+        the other rows keep their axes, and `Assembled.motions` gives the displacements (or rotations) along global
+        axes as weighted sums of degrees of freedom.
 
     Raises
     ------
     ValueError
-        If rows have no names and no set of `mesh` has their number, if names are repeated or their number is
-        wrong, if a matrix has no row in common with the first, if no row is left, or if the constraints of the
-        mesh cannot be applied (``mesh:``).
+        If rows have no names and no set of `mesh` has the same number of rows, if names are repeated or their
+        number is wrong, if a matrix has no degree of freedom in common with the first matrix, if no row is left,
+        or if the constraints of the mesh cannot be applied (``mesh:``).
     """
     assumed: dict[str, str] = {}
     named = [_name_rows(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]

@@ -1,10 +1,11 @@
 """Reader for nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
-Matrices are along the axes of each node's output coordinate system, CD. OP4 files do not name their rows. The rows
-of the g-set are the nodes in ascending order (in MYSTRAN, in deck order unless PARAM,GRIDSEQ,GRID is given) with
-six components each, and scalar points with one component. This module also forms three smaller sets. The n-set is
-the g-set without components that constraints make dependent (`fmu.formats.constraints.nastran`). The f-set is the
-n-set without components that GRID, GRDSET, SPC and SPC1 fix. The a-set is defined by ASET and ASET1 entries.
+The directions of a node in Nastran's matrices are along the axes of its output coordinate system, CD. OP4 files do
+not name their rows. The rows of the g-set are the nodes in ascending order (in MYSTRAN, in deck order unless
+PARAM,GRIDSEQ,GRID is given) with six components each, and scalar points with one component. This module also forms
+three smaller sets. The n-set is the g-set without components that constraints make dependent
+(`fmu.formats.constraints.nastran`). The f-set is the n-set without components that GRID, GRDSET, SPC and SPC1 fix.
+The a-set is defined by ASET and ASET1 entries.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Apply a mesh's constraints to matrices, and express the motions of dependent degrees of freedom.
 
-Some programs write K and M for all degrees of freedom, others Tᵀ K T and Tᵀ M T for the independent ones. The rows
-show which: if a dependent degree of freedom has a nonzero row, T has not been applied yet.
+The constraints are u = T q, where q contains the independent degrees of freedom. Some programs write K and M for
+all degrees of freedom u; others write Tᵀ K T and Tᵀ M T for q. The rows show which matrices were written: if a
+dependent degree of freedom has a nonzero row, T has not been applied yet.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ def constrain(
     mesh : Mesh
         Provides the constraints, and the supports if the matrices do not include them yet.
     means : mapping
-        Motions that are weighted sums of rows, in which constraints may be expressed; see `Motions`.
+        Degrees of freedom without rows of their own that are weighted sums of rows, as in
+        `fmu.formats.matrices.limits.Labelled.motions`. The constraints may contain them.
     is_whole : bool
         Whether the rows are known to include all degrees of freedom of the mesh, so that neither constraints nor
         supports have been applied. If a dependent degree of freedom has a nonzero row, this is assumed.
@@ -121,14 +123,14 @@ def motions_of(
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
     """Return the motions along global axes of nodes with dependent degrees of freedom, and notes.
 
-    Left out are motions that equal a row, motions that are zero, and motions that depend on degrees of freedom
-    without rows. A note lists the nodes of the last kind.
+    A motion is left out if it equals a row, is zero, or depends on degrees of freedom without rows. In the last
+    case, a note lists the node.
 
     Parameters
     ----------
     T : Transformation
     dofs : sequence of (node id, direction)
-        Rows of the final matrices; the other columns of T have no row.
+        Rows of the final matrices. Columns of T whose names are not listed here have no row.
     turn : csr_array, shape (n_dof, n_dof), optional
         Rotation matrix in u = turn u_final, if any rows were rotated to global axes.
     axes : mapping of int to ndarray, shape (3, 3)

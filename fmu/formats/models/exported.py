@@ -40,7 +40,8 @@ class Mesh(NamedTuple):
     sets : mapping of str to tuple of (node, direction)
         Possible rows of matrices without names, keyed by the program's name for the set, such as ``"g"``.
     order : tuple of int
-        Node ids in input order, for matrices whose rows may be in that order.
+        Ids of nodes and scalar points in the order of MYSTRAN's rows: as the deck defines them, or ascending with
+        PARAM,GRIDSEQ,GRID. Empty unless the mesh is from Nastran bulk data.
     equations : tuple of Equation
         Constraints between degrees of freedom, along the axes of each node.
     held : frozenset of (node, direction)

@@ -49,8 +49,7 @@ class FRFData:
     values : ndarray of complex, shape (n_frfs, n_lines)
         One FRF per row. NaN or 0 marks a missing value, which is not used; zeros are replaced by NaN.
     drives, responses : tuple of (place, direction)
-        Node and direction of the force, and of the response, in each FRF. The direction is x, y, z, rx, ry or rz,
-        with or without a minus.
+        Node and direction of each FRF's force and response: x, y, z, rx, ry or rz, with or without a minus.
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
         Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
         converted to its reciprocal, the receptance. This is correct if it is the quotient of one force and one
@@ -59,11 +58,11 @@ class FRFData:
         Standard deviation of the real part, and of the imaginary part, in the unit of `values`. A scalar applies
         to all values; one number per FRF, shape (n_frfs, 1), applies to all its lines. NaN and 0 mean missing.
     coherence : ndarray, shape (n_frfs, n_lines), optional
-        Ordinary coherence γ², from 0 to 1. If `sd` is not given, the standard deviations of the real and imaginary
-        parts are |H| √((1 − γ²)/(2 γ² n)) with n = `averages` (Bendat & Piersol 2010, *Random Data*, 4th ed.,
-        section 9.2.4). Values with a coherence of 0, 1 or NaN are then not used.
+        Ordinary coherence γ², from 0 to 1. Without `sd`, real and imaginary parts have the standard deviation
+        |H| √((1 − γ²)/(2 γ² averages)) (Bendat & Piersol 2010, *Random Data*, 4th ed., section 9.2.4). Values with
+        a coherence of 0, 1 or NaN are then not used.
     averages : float, optional
-        Number n of independent averages behind the coherence; it must be greater than 1.
+        Number of independent averages behind the coherence; it must be greater than 1.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
         The lines to use in updating. Defaults to all lines. The other lines validate the updated model.
     band : (float, float), optional
@@ -76,9 +75,9 @@ class FRFData:
     Raises
     ------
     ValueError
-        If the shapes differ, the frequencies do not ascend, a place or direction is invalid, an FRF has no values,
-        two FRFs have the same points, an sd is negative or infinite, a coherence is not from 0 to 1, only one of
-        `coherence` and `averages` is given, the band is empty, or no value is used.
+        If shapes differ, the frequencies do not ascend, a place or direction is invalid, an FRF has no values, two
+        have the same points, an sd is negative or infinite, a coherence is not from 0 to 1, `coherence` or
+        `averages` is given without the other, the band is empty, or no value is used.
     """
 
     frequencies_hz: ArrayLike
@@ -153,9 +152,9 @@ class FRFData:
     ) -> Self:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
-        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom
-        (`freedom`). Of 20 Gaussian errors, one on average exceeds 1.96 sd. For the mean of 3 hits the number is
-        2.4, for 5 hits 1.7, and for 10 hits 1.3. Use ten hits or more, or errors with Student's t distribution.
+        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom. Of 20
+        Gaussian errors, one on average exceeds 1.96 sd. For the mean of 3 hits the number is 2.4, for 5 hits 1.7,
+        and for 10 hits 1.3. Use ten hits or more, or errors with Student's t distribution.
 
         Parameters
         ----------
@@ -198,8 +197,7 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        standard deviations are computed from the coherence. A segment must be several times longer than the decay
-        time 1/(2π ζ f); see `fmu.posterior.data.frf.estimates.estimate_frfs`.
+        coherence gives the sds. A segment must be several times longer than the decay time 1/(2π ζ f).
 
         Parameters
         ----------

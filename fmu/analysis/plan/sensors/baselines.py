@@ -13,11 +13,12 @@ from fmu.types import FloatArray, IntArray
 
 
 def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
-    """Choose sensors by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
+    """Return candidates chosen by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
 
-    The candidate that contributes least to the linear independence of the mode shapes is removed repeatedly. Its
-    contribution is E = diag Φ(ΦᵀΦ)⁻¹Φᵀ, summed over the directions of a sensor. Budget and minimum distance are
-    ignored.
+    The candidate that contributes least to the linear independence of the mode shapes is removed repeatedly, until
+    `limits.count` candidates are left beside the mounted ones. A candidate's contribution is the sum over its
+    directions of the entries in diag Φ(ΦᵀΦ)⁻¹Φᵀ, where Φ contains the mode shapes at the candidates that are left.
+    Mounted candidates are never removed, and are not part of the result. Budget and minimum distance are ignored.
 
     Parameters
     ----------
@@ -55,8 +56,9 @@ def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tupl
 def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
     """Choose sensors so that the AutoMAC has small off-diagonal entries (Carne & Dohrmann 1995).
 
-    As many candidates as there are modes are chosen by effective independence. Then the candidate that minimises
-    the largest off-diagonal entry is added repeatedly. Budget and minimum distance are ignored.
+    Effective independence first chooses one candidate per mode, or `limits.count` candidates if this is fewer.
+    Then candidates are added one at a time until `limits.count` are chosen. The candidate added is the one that
+    minimises the largest off-diagonal entry. Budget and minimum distance are ignored.
     """
     few = Limits(min(limits.count, shapes.shape[1]), limits.mounted, limits.cost)
     found = list(effective_independence(shapes, groups, few))

@@ -1,17 +1,18 @@
 """Upper bound on the information of any sensor choice, by convex relaxation (Joshi & Boyd 2009).
 
-A weight between 0 and 1 for each candidate replaces the choice. The information of mode shapes with unknown scales
-is a Schur complement of a matrix that is linear in the weights, so the expected information is concave in them. In
-the notation of `fmu.analysis.plan.sensors.information`, the Schur complement at weights v is at most
-Σ_q v_q (j_q − φ_q b)(j_q − φ_q b)ᵀ for any vectors b, with equality for the b that belong to v. At any weights w,
-the best choice v therefore has at most
+Each candidate gets a weight between 0 and 1, instead of being chosen or not. The information of mode shapes with
+unknown scales is a Schur complement of a matrix that is linear in the weights, so the expected information is
+concave in them. In the notation of `fmu.analysis.plan.sensors.information`, the Schur complement at weights v is
+at most Σ_q v_q (j_q − φ_q b)(j_q − φ_q b)ᵀ for any vectors b, with equality for the b that belong to v. Let
+value(w) be the expected information at any weights w, A(w) the information matrix there, and A₀ this matrix
+without sensors. The best choice v then has at most the information
 
     value(w) + g·v − ½ E tr V (A(w) − A₀), g_q = ½ E Σ_i ‖Fᵀ(j_q − φ_q b)‖², V = FFᵀ,
 
-where V is the derivative of 2 value with respect to A at w. This is largest for the candidates with the largest g
-(per cost). With the b of w, g is the gradient. If some mode hardly moves the weighted sensors, w does not
-determine that mode's b; the b for a mixture of w and uniform weights then gives a tighter bound. Each step of the
-ascent gives a bound; the smallest is used.
+where the sum is over the modes i, and V is the derivative of 2 value with respect to A at w. This expression is
+largest if v selects the candidates with the largest g (per cost). With the b of w, g is the gradient. If some mode
+hardly moves the weighted sensors, w does not determine that mode's b; the b for a mixture of w and uniform weights
+then gives a tighter bound. Bounds are computed at regular intervals during an ascent in w; the smallest is used.
 
 References
 ----------
@@ -56,8 +57,8 @@ def relax(readings: Readings, limits: Limits, steps: int = _STEPS) -> Relaxed:
 
     The minimum distance between sensors is ignored, which leaves the bound valid. With a budget, the number of
     sensors is ignored too. The ascent is a projected gradient method with Barzilai–Borwein steps. It ends when the
-    bound exceeds the value by less than 0.1 % (or 0.001 nats), when the value hardly increases, or after `steps`
-    steps.
+    bound exceeds the relaxed information by less than 0.1 % (or 0.001 nats, if this is more), when the relaxed
+    information hardly increases, or after `steps` steps.
     """
     by_cost = np.isfinite(limits.budget)
     price = limits.cost if by_cost else np.ones(len(limits.cost))

@@ -8,10 +8,11 @@ row, by the standard deviation of e. The mode shapes then add to the information
 
 where the second term is lost because the scales are unknown. One more sensor, with row (φ, j) in a mode, adds
 
-    r rᵀ with r = (j − φ b) / √(1 + φ²/N), N = φ_iᵀφ_i and b = J_iᵀφ_i / N
+    r rᵀ with r = (j − φ b) / √(1 + φ²/N), N = φ_iᵀφ_i and b = J_iᵀφ_i / N.
 
-over the sensors before it, which is the recursion of least squares. The expected information gain is
-½ E log det A, averaged over the draws, where A is the information matrix including the identity matrix.
+Here N and b are computed from the sensors that were placed before it. This is the recursion of least squares. Let
+A be the sum of the identity matrix and all information. The expected information gain about all parameters is then
+½ E log det A, where E is the mean over the draws.
 
 References
 ----------
@@ -109,7 +110,7 @@ class Readings:
         return np.asarray(whole @ np.linalg.qr(W)[0])
 
     def _factors(self, state: State) -> tuple[FloatArray, FloatArray | None]:
-        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V.
+        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V, where `gains` defines P and V.
 
         D is None if there is no target.
         """

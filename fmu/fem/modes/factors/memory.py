@@ -1,4 +1,4 @@
-"""Size limits for large matrices, and checks whether their factors fit in free memory."""
+"""The size from which a matrix counts as large, and checks whether factors fit in free memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense t
     """Raise MemoryError if the factors for `n_dof` rows do not fit in free memory.
 
     `needed` is the size of the factors in bytes; `advice` ends the error message. Nothing is checked if the free
-    memory is unknown. From `LARGE` rows on, the size is logged once.
+    memory is unknown. For `LARGE` rows or more, the size is logged, but each size only once.
     """
     free = free_memory()
     if free is not None and needed > free:
@@ -40,5 +40,5 @@ def needed_in_words(needed: int, n_dof: int) -> str:
 
 @cache
 def _tell_once(n_dof: int, gib: str) -> None:
-    """Log the memory that factors need, once for each matrix size."""
+    """Log the memory that factors need, but only at the first call with these arguments."""
     tell_fact(f"The factors of {whole(n_dof)} degrees of freedom will take {gib} GiB of memory.")

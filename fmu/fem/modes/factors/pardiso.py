@@ -1,4 +1,4 @@
-"""PARDISO factorisation of sparse symmetric matrices, in Intel's MKL (package pypardiso)."""
+"""Factorisation of sparse symmetric matrices by PARDISO from Intel's MKL (package pypardiso)."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def n_threads() -> int:
     """Return the number of threads with which PARDISO factorises a matrix of at least `LARGE` rows, from 1 to 8.
 
     The number is taken from the environment variable ``MKL_NUM_THREADS`` or, if that is not set, from
-    ``OMP_NUM_THREADS``. The workers of fmu's engines set both to 1 unless they are set. If neither is set, or the
-    value is not a whole number, it is the number of processors that this process may use. Smaller matrices
-    are factorised in one thread.
+    ``OMP_NUM_THREADS``. In the workers of fmu's engines, each of these variables is 1 unless the user has set it.
+    If neither is set, or the value is not a whole number, the number of processors that this process may use is
+    taken. Smaller matrices are factorised in one thread.
     """
     given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -62,7 +62,8 @@ def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFact
     """Factorise a symmetric matrix.
 
     If factors in double precision would take more than a sixth of the machine's memory, they are computed in
-    single precision, and solutions are refined. The errors are those of `Pardiso` and `RefinedFactor`.
+    single precision, and solutions are refined. The function raises the same exceptions as `Pardiso` and
+    `RefinedFactor`, except _LargeFactorsError.
     """
     try:
         return Pardiso(matrix, is_definite)
@@ -80,14 +81,15 @@ class Pardiso:
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the matrix is singular, or if factors in single precision are not definite as expected.
+        If the matrix is singular, if `is_definite` and `is_single` are True but the matrix is not positive
+        definite in single precision, or if PARDISO fails for another reason.
     MemoryError
         If the factors do not fit in memory, and cannot be stored in files because the disk is too full or the part
         that remains in memory is too large.
     _LargeFactorsError
         If factors in double precision would take more than a sixth of the machine's memory.
     OSError
-        If the files cannot be written.
+        If the files cannot be created, written or read.
 
     Warns
     -----

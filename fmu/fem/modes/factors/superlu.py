@@ -57,7 +57,7 @@ class SuperLU:
 
 
 def count_entries(matrix: sp.csc_array) -> int:
-    """Return about how many entries L and U will have when SuperLU factorises a symmetric matrix.
+    """Return the approximate number of entries that L and U of a symmetric matrix will have in SuperLU.
 
     The count is cached, because it depends on the sparsity pattern alone.
     """

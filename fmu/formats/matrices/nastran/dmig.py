@@ -29,8 +29,9 @@ SYMMETRIC = 6
 def _read(path: Path, variable: str | None) -> Labelled:
     """Read a matrix. Its rows are the nodes and components named by its entries, in ascending order.
 
-    Raise ValueError if an entry is malformed. Raise RefusedError if there is no such matrix, if it is complex,
-    empty or too large, or if a symmetric matrix has both entries of a pair.
+    Raise ValueError if an entry is malformed. Raise RefusedError if there is no such matrix, if there are several
+    and `variable` is None, if the matrix is complex, empty or too large, or if a symmetric matrix has both entries
+    of a pair.
     """
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}

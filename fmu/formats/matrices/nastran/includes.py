@@ -39,8 +39,8 @@ def deck_lines(path: Path) -> Iterator[str]:
     Raises
     ------
     RefusedError
-        If an included file does not exist, lies outside the deck's folder or includes itself, if files are too
-        many, too large or nested too deeply, or if an INCLUDE entry is malformed.
+        If an included file does not exist, lies outside the deck's folder or includes itself; if there are too
+        many files, or they are too large or nested too deeply; or if an INCLUDE entry is malformed.
     ValueError
         If a file is not text.
     """
@@ -60,8 +60,9 @@ def _lines(
 ) -> Iterator[str]:
     """Yield the lines of a file and of the files that it includes.
 
-    `within` is the chain of files that include this one. Included files are added to `found` if it is given. Raise
-    RefusedError under the same conditions as `deck_lines`.
+    `within` is the chain of files from the deck to this file, in which each file includes the next. Included files
+    are added to `found` if it is given. Raise RefusedError or ValueError under the same conditions as
+    `deck_lines`.
     """
     count.files += 1
     count.size += path.stat().st_size
