@@ -101,7 +101,7 @@ class RemoteEngine(Engine):
 
     @abstractmethod
     def _start(self, waiting: deque[Task], shared: object) -> bool:
-        """Start as many waiting tasks as there are idle workers, and remove them from `waiting`.
+        """Start waiting tasks on idle workers, and remove these tasks from `waiting`.
 
         Return True if any task is running.
         """
@@ -119,7 +119,7 @@ class RemoteEngine(Engine):
 
 
 class Shared:
-    """Data for all tasks, unpickled only when a task first needs them, so that an error is raised in that task."""
+    """Data for all tasks, unpickled on the first call. An unpickling error is thus raised within a task."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
@@ -177,9 +177,9 @@ def limit_blas_threads() -> None:
 
 
 def _again(task: Task, outcome: Outcome) -> Task:
-    """Return a task that is to be rerun, with its deaths counted.
+    """Return the task for another run, with the worker deaths in `outcome` added to its own count.
 
-    Raise LostTaskError if too many workers have died while they ran it.
+    Raise LostTaskError if this count has reached `MAX_DEATHS`.
     """
     deaths = task.deaths + outcome.deaths
     if deaths >= MAX_DEATHS:

@@ -46,9 +46,9 @@ from fmu.types import Dof, FloatArray
 
 
 def solves_of_a_surrogate(n_parameters: int) -> int:
-    """Return the default limit on the solves for building a surrogate.
+    """Return the default limit on the number of solves for building a surrogate.
 
-    It also limits a maximum search if the function is slow.
+    If the function is slow, this number also limits the search for the posterior maxima.
     """
     return 100 + 50 * n_parameters
 
@@ -73,11 +73,12 @@ class BlackBoxModel:
     name : str, optional
         Name used in descriptions of a problem.
     store : path-like, optional
-        Folder for results. Results that took `SLOW_S` or longer (per point, if the function is batched) are stored
-        there and reused, in this run and in others. They are stored under a hash of the function's source file and
-        of the user's own modules that it imports (`fmu.fem.programs.sources`). Other dependencies, such as data
-        files, are not tracked. Instead, when a problem is built, the function is called at the starting point and
-        must reproduce the result stored for it (`at`).
+        Folder for results. Results that took `fmu.fem.programs.solves.SLOW_S` seconds or longer (per point, if the
+        function is batched) are stored there and reused, in this run and in others. They are stored under a hash
+        of the function's source file and of the user's own modules that it imports (`fmu.fem.programs.sources`).
+        The hash does not detect changes in other dependencies, such as data files. Therefore, when a problem is
+        built, the function is called at the starting point, and must reproduce the result that is stored for this
+        point (`at`).
 
     Attributes
     ----------
@@ -200,7 +201,10 @@ class BlackBoxModel:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the user's source code, the same in every process; see `source_digest`."""
+        """Hash of the function's source file and of the user's own modules that it imports.
+
+        The hash is empty if the function is not in a file; see `source_digest`.
+        """
         return source_digest(self.function)
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
@@ -220,7 +224,7 @@ class BlackBoxModel:
     def _store(self) -> SolveStore | None:
         """Return the store for solves, or None if no folder is given.
 
-        Its name contains a hash of the function's source code and name, and of the sensors.
+        The name of the store's folder contains a hash of the function's name and source code, and of the sensors.
         """
         if self._folder is None:
             return None

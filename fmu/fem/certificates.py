@@ -35,7 +35,7 @@ class Certificate(ABC):
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
-        """Return the certificate stored in a trace's attributes, or None if it has none of this class."""
+        """Return the certificate in a trace's attributes, or None if no certificate of this class is stored."""
         found: dict[str, Any] = {}
         for field in fields(cls):
             key = cls._key(field.name)
@@ -71,8 +71,8 @@ class ReductionCertificate(Certificate):
     ----------
     log_prob_error : float
         Largest log-probability error at the solved draws whose log-likelihood is at most `Tolerance.depth` below
-        the highest; 0 if the likelihood has no modes. At lower likelihoods, where a chain may have started, the
-        error is not bounded.
+        the highest; 0 if no measured mode enters the likelihood. At lower likelihoods, where a chain may have
+        started, the error is not bounded.
     pairing_changes : int
         Number of solved draws at which the true model pairs a measured mode with a different computed mode.
     full_solves : int
@@ -81,7 +81,7 @@ class ReductionCertificate(Certificate):
     frequency_tolerance, log_prob_tolerance : float
         See `fmu.posterior.reduction.tolerance.Tolerance`.
     bound_draws : int or None
-        Number of draws at which the frequency errors were bounded by their residuals.
+        Number of draws at which bounds on the frequency errors were computed from residuals.
     bound, bound_median : float or None
         Largest bound on a relative frequency error at these draws, and the median over the draws of each draw's
         largest bound.

@@ -45,7 +45,7 @@ class Reduction:
     def eigen(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest eigenvalues (count,) in (rad/s)², and the full mode shapes (n_dof, count).
 
-        Raise ValueError if the reduced matrices have fewer than `count` modes with a finite frequency.
+        Raise ValueError if `count` is less than 1 or exceeds the number of modes with a finite frequency.
         """
         lam, q = eigen(sp.csr_array(self.K), sp.csr_array(self.M), count)
         return lam, self.basis @ q
@@ -92,11 +92,12 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     Parameters
     ----------
     K, M : array_like or sparse, shape (n_dof, n_dof)
+        Symmetric.
     boundary : array_like of int
         Indices of the boundary degrees of freedom.
     n_modes : int
         Number of fixed-interface modes for each substructure; a substructure with fewer modes uses all of them.
-        0 gives `guyan`.
+        With 0, the result is the same as that of `guyan` with the boundary as masters.
 
     Returns
     -------
@@ -105,7 +106,8 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     Raises
     ------
     ValueError
-        As for `guyan`, or if `n_modes` is negative or a substructure's mass matrix is not positive semidefinite.
+        In the cases listed for `guyan`, where `boundary` replaces the masters. Also if `n_modes` is negative, or a
+        substructure's mass matrix is not positive semidefinite.
 
     Notes
     -----
@@ -141,8 +143,8 @@ def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, 
 def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tuple[bool, ...]:
     """Return, for each substructure, whether its Craig–Bampton modes at `theta` are valid at every theta.
 
-    They are if a single coefficient scales the stiffness of the substructure's interior and of its connection to
-    the boundary, and no parameter changes the interior's mass.
+    The modes are valid at every theta if a single coefficient scales the stiffness of the substructure's interior
+    and of its connection to the boundary, and no parameter changes the interior's mass.
 
     Parameters
     ----------

@@ -81,8 +81,8 @@ class RefinedFactor:
         ``make(matrix, is_definite)`` returns single-precision factors. It raises LinAlgError if the matrix is
         singular, or if `is_definite` is True and the matrix is not positive definite.
     is_definite : bool
-        Whether A is expected to be positive definite. If the factors of a definite matrix fail or are too
-        inaccurate, factors of an indefinite matrix are made instead.
+        Whether A is expected to be positive definite. If its factors as a definite matrix cannot be computed or
+        are too inaccurate, A is factorised as an indefinite matrix instead.
 
     Raises
     ------
@@ -125,9 +125,10 @@ class RefinedFactor:
         return np.concatenate(found, axis=1).reshape(loads.shape) if found else np.zeros_like(loads)
 
     def _definite_factor(self, make: Callable[[sp.csr_array, bool], SingleFactor]) -> SingleFactor | None:
-        """Return factors for which conjugate gradients converge for a random b, or None if there are none.
+        """Return factors for which conjugate gradients converge for a random b, or None if none are found.
 
-        If A itself has no such factors, a small share of its diagonal is added first.
+        The first attempt factorises A itself. Further attempts add a small share of its diagonal before
+        factorising.
         """
         probe = np.random.default_rng(0).standard_normal((self._matrix.shape[0], 1))
         for share in _ADDED:

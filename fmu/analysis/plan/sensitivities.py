@@ -18,7 +18,7 @@ from fmu.progress.phases import phase
 from fmu.types import BoolArray, Dof, FloatArray
 
 SPARE = 2
-"""Number of modes above the measured ones that pairing could confuse with them."""
+"""Number of modes computed above the measured ones, because pairing could confuse them with measured modes."""
 SHAPE_ERROR = 1e-3
 """Largest error allowed in a reduced model's mode shapes at the candidates, relative to the largest component."""
 UNSEEN = 1e-6

@@ -19,10 +19,10 @@ _FEWEST_DIGITS = 6
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Entries on and above the diagonal that are present in any export, each divided by √(a_ii a_jj).
+    """Entries on and above the diagonal that are present in at least one export, each divided by √(a_ii a_jj).
 
-    Here a_ii is the diagonal entry with the largest absolute value in the exports. If it is zero for a row or
-    column, an entry is divided by its own largest absolute value.
+    Here a_ii is the largest absolute value of the diagonal entry of row i in all exports. If a_ii or a_jj is zero,
+    the entry is divided by its own largest absolute value instead.
     """
 
     entry: FloatArray  # (n_exports, n)
@@ -54,13 +54,19 @@ class Entries:
         return max(ROUNDING, 0.5 * 10.0 ** (1 - self.digits))
 
     def changed_between(self, first: int, others: Sequence[int]) -> BoolArray:
-        """Return a mask (n,) of entries that change by more than rounding from export `first` to any other."""
+        """Return a mask (n,) of the entries that change by more than rounding between two exports.
+
+        One of them is export `first`, and the other is any export whose index is in `others`.
+        """
         away = np.abs(self.entry[others] - self.entry[first])
         large = np.maximum(np.abs(self.entry[others]), np.abs(self.entry[first]))
         return np.asarray(np.any(away > SAFETY * np.maximum(self.noise * large, ROUNDING), axis=0))
 
     def place(self, at: int) -> str:
-        """Return a phrase that names the degrees of freedom of entry `at`: one on the diagonal, otherwise two."""
+        """Return a phrase that names the degrees of freedom to which the entry with index `at` belongs.
+
+        A diagonal entry belongs to one degree of freedom, any other entry to two.
+        """
         row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
         return f"node {row}" if row == column else f"node {row}, node {column}"
 
@@ -82,10 +88,11 @@ class Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return the number of significant decimal digits, or 17 if 15 digits do not reproduce the numbers.
+    """Return the smallest number of significant decimal digits that reproduces the numbers.
 
-    About a thousand of the numbers are examined. No program writes matrices with fewer than `_FEWEST_DIGITS`
-    digits, so numbers that need fewer are taken as exact, with 17 digits.
+    At most 2000 of the numbers are examined. Return 17 if 15 digits do not reproduce them. No program writes
+    matrices with fewer than `_FEWEST_DIGITS` digits. Numbers that need fewer are therefore taken as exact, with 17
+    digits.
     """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // MOST_SAMPLED, 1)]

@@ -1,15 +1,15 @@
 """Recovery of K(θ) and M(θ) from matrices that a program exports at several parameter values.
 
-An entry of an assembled matrix is a sum over elements, and the entry of an element matrix is a sum of powers of
-most properties. Young's modulus and density enter with power 1. A plate's thickness enters with power 1 (membrane,
-mass) and power 3 (bending, rotary inertia), a solid element's thickness with powers 1, 0 and -1. The matrices of a
-few exports therefore determine the terms K_k of
+An entry of an assembled matrix is a sum over elements. As a function of most properties, an entry of an element
+matrix is a sum of powers. Young's modulus and density enter with power 1. A plate's thickness enters with power 1
+(membrane, mass) and power 3 (bending, rotary inertia), and a solid element's thickness with powers 1, 0 and -1.
+The matrices of a few exports therefore determine the terms K_k of
 
     K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
 
 by least squares, entry by entry. The powers belong to the smallest set of terms that reproduces every export. A
-length or Poisson's ratio is refused, because the entries are not sums of its powers. Parameters may multiply one
-another, as do E and t of one plate.
+length or Poisson's ratio is refused as a parameter, because the entries are not sums of its powers from -1 to 3. A
+term may contain several parameters, such as E and t of one plate.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ FREQUENCY_ROUNDING = 1e-6
 """Relative standard deviation of the lowest frequency above which rounding of the exports is reported."""
 _RIGID = 6
 _SAME_MOTION = 1e-6
-"""Largest difference of a weight from the first export's, relative to the largest weight of its motion."""
+"""Largest difference allowed between a weight and the same weight in the first export, relative to the largest
+weight of the motion."""
 
 
 @check_arguments
@@ -59,11 +60,11 @@ def from_exports(
     Raises
     ------
     ValueError
-        If there are fewer than two exports or too few to separate the terms, the first export is a check, a
-        parameter value is not finite or is zero in the first export, another export names a parameter that the
-        first does not give, no export changes a parameter alone, an export has other degrees of freedom or
-        another geometry, a parameter changes nothing, or powers from -1 to 3 do not reproduce an export; the
-        message then names the entries.
+        If there are fewer than two exports or too few to separate the terms; the first export is a check or gives
+        no parameters; a parameter value is not finite, or is zero in the first export; another export names a
+        parameter that the first does not give; a parameter is not changed alone by any export; an export has
+        different degrees of freedom or a different geometry; a parameter changes nothing; or powers from -1 to 3
+        do not reproduce an export. In the last case, the message names the entries.
 
     Examples
     --------
@@ -106,7 +107,8 @@ def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> lis
     The list is empty if there are enough digits, or if no elastic mode can be computed.
 
     With independent, uniform entry errors e_ij, λ changes by φᵀ e φ / φᵀ M φ. The relative change in f has the
-    standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
+    standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where `Recovery.rounding` is used as the bound r
+    on |e_ij / K_ij|.
     """
     K, M = model.K(theta), model.M(theta)
     try:
@@ -158,7 +160,10 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Raise ArgumentError if an export differs from the first in degrees of freedom, or in a motion's weights."""
+    """Raise ArgumentError if an export and the first export differ in degrees of freedom or in `motions`.
+
+    The motions differ if the weights of a motion differ (`fmu.formats.models.exported.ExportedModel`).
+    """
     first = exports[0].model.dofs
     motions = exports[0].model.motions
     for i, one in enumerate(exports):

@@ -17,7 +17,8 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
-"""Largest error of an entry, relative to √(a_ii a_jj), in an export that is reserved for checking."""
+"""Smallest tolerance for the error of an entry, relative to √(a_ii a_jj), in an export that is reserved for
+checking."""
 _FITTED = 1e-9
 _RANK = {0: 0, 1: 1, 2: 3, 3: 2, -1: 4}
 """Order in which the powers are tried: elements with a square are rare."""
@@ -64,20 +65,22 @@ class Export:
 class Recovery:
     """Terms recovered for the stiffness or mass matrix, with the accuracy of the recovery.
 
+    Errors of entries are relative to √(a_ii a_jj), as in `fmu.fem.exports.entries.Entries`.
+
     Attributes
     ----------
     terms : tuple of Term
     fitted : float
-        Largest error of an entry, relative to √(a_ii a_jj), in the exports used.
+        Largest error of an entry in the exports used.
     checked : float or None
-        Largest such error in the exports reserved for checking; None if there are none.
+        Largest error of an entry in the exports reserved for checking; None if there are none.
     digits : int
         Significant digits of the exported numbers; 17 if they are exact, as in binary files.
     rounding : float
-        Bound on the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
-        √(a_ii a_jj).
+        Bound on the error that these digits leave in an entry anywhere within the parameters' bounds.
     decided : bool
-        Whether several sets of powers reproduced the exports used, so that the check decided between these sets.
+        Whether the check decided the powers for some entries: the first set of powers that reproduced the exports
+        used did not reproduce the exports reserved for checking, but a later set reproduced all exports.
     """
 
     terms: tuple[Term, ...]
@@ -133,11 +136,13 @@ class _Points:
     ) -> tuple[_Fit | None, tuple[Powers, ...] | None]:
         """Return the fit that reproduces all exports with the fewest new terms in a group of parameters.
 
-        The known terms are always included. Also return the terms of the first fit that reproduces the exports
-        used. Both are determined from a sample of the entries (n_exports, n). Entries that these terms do not
-        reproduce, such as the entry of a single spring in a solid, are then added to the sample. If the worst of
-        them are in the sample already, the returned fit misses some entries. The fit is None if no terms reproduce
-        all exports. The terms are None if none reproduce the exports used.
+        Every fit includes the known terms. The fit is None if no terms reproduce all exports. Also return the
+        terms of the first fit that reproduces the exports used, or None if no terms reproduce these exports.
+
+        Both results are determined from a sample of the entries (n_exports, n). Entries that the fit does not
+        reproduce, such as the entry of a single spring in a solid, are added to the sample, and the search is
+        repeated. If the worst of these entries are in the sample already, the returned fit does not reproduce all
+        entries.
         """
         some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
         while True:
@@ -304,7 +309,7 @@ def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ..
 
 
 def _complexity(powers: Powers) -> int:
-    """Return the sort key for sets with equally many terms, lowest for the simplest set."""
+    """Return the complexity of a term, the sum of its powers' ranks (`_RANK`): 0 for a constant term."""
     return sum(_RANK[power] for power in powers)
 
 

@@ -1,13 +1,14 @@
 """The 3-D Euler–Bernoulli beam element with rotary inertia, as a sum of unit matrices.
 
-Node order (i, j); degrees of freedom per node in local axes: u, v, w, θx, θy, θz, with x along the element.
-Bending in the local x–z plane (w, θy) has stiffness E·Iy, in the x–y plane (v, θz) E·Iz, where
-Iy = ∫z² dA and Iz = ∫y² dA. Displacements are interpolated linearly (bar, torsion) and by cubic Hermite
-polynomials (bending); the mass matrix is consistent with them and includes the rotary inertia of the section
-(Rayleigh 1894; Przemieniecki 1968, *Theory of Matrix Structural Analysis*, ch. 11).
+The nodes are in the order (i, j). Each node has the degrees of freedom u, v, w, θx, θy, θz in local axes, with x
+along the element. Bending in the local x–z plane (w, θy) has the stiffness E·Iy with Iy = ∫z² dA. Bending in the
+local x–y plane (v, θz) has the stiffness E·Iz with Iz = ∫y² dA. Displacements are interpolated linearly (bar,
+torsion) and by cubic Hermite polynomials (bending). The mass matrix is consistent with this interpolation and
+includes the rotary inertia of the section (Rayleigh 1894; Przemieniecki 1968, *Theory of Matrix Structural
+Analysis*, ch. 11).
 
 The element matrices are ``K = EA·K_EA + EIy·K_EIy + EIz·K_EIz + GJ·K_GJ`` and
-``M = ρA·M_ρA + ρIy·M_ρIy + ρIz·M_ρIz``: this module gives the unit matrices, which depend on the length alone.
+``M = ρA·M_ρA + ρIy·M_ρIy + ρIz·M_ρIz``. This module gives the unit matrices, which depend on the length alone.
 """
 
 from __future__ import annotations
@@ -66,8 +67,9 @@ def mass_terms(length: ArrayLike) -> dict[str, FloatArray]:
     Returns
     -------
     dict of str to ndarray, shape (n, 12, 12)
-        ``"rhoA"`` (translation), ``"rhoIy"`` and ``"rhoIz"`` (rotary inertia in the plane of bending with that
-        second moment of area, and its share of the torsional inertia ρ(Iy + Iz)).
+        ``"rhoA"`` (translation), ``"rhoIy"`` (rotary inertia in the x–z plane) and ``"rhoIz"`` (rotary inertia in
+        the x–y plane). The last two each contain their part of the torsional inertia ρ(Iy + Iz). The sum of these
+        matrices, each times the quantity of that name, is the element mass.
 
     Raises
     ------

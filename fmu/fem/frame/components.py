@@ -150,9 +150,9 @@ class ElementGroup:
     section : Section
     material : Material
     y_direction : tuple of float, length 3, optional
-        A vector in the local x–y plane, in global axes; it defines the axes of Iy and Iz. By default local y is
-        horizontal, so that Iy resists bending in the vertical plane, where global z is up; for vertical elements
-        local y is global y.
+        A vector in the local x–y plane, in global axes; it defines the axes of Iy and Iz. By default, local y is
+        horizontal (global z points up), so that Iy resists bending in the vertical plane. For vertical elements,
+        local y is global y by default.
 
     Raises
     ------
@@ -166,7 +166,7 @@ class ElementGroup:
     material: Material
     y_direction: tuple[float, float, float] | None = None
     directions: ClassVar[tuple[str, ...]] = ()
-    """Directions by which a property may be named: none for elements."""
+    """Directions that a target may name for a property; elements have no such directions."""
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.elements)
@@ -186,14 +186,15 @@ class PointMass:
     Attributes
     ----------
     node : int or str
-        Node index, or the node's name as long as the nodes are not numbered, as in problem files.
+        Node index. In a problem file, it is the name of a point, which is replaced by an index when the frame is
+        built.
     mass : float
         Mass, kg.
     inertia : tuple of float, length 3
         Moments of inertia about global x, y and z, kg·m².
     name : str
-        Name by which a parameter refers to the mass or its inertia. Defaults to the point's name in a problem
-        file.
+        Name by which a parameter refers to the mass or its inertia. In a problem file, it defaults to the name of
+        the point.
 
     Raises
     ------
@@ -206,7 +207,7 @@ class PointMass:
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     name: str = ""
     directions: ClassVar[tuple[str, ...]] = DIRECTIONS[3:]
-    """Directions by which an inertia may be named."""
+    """Directions that a target may name for an inertia."""
 
     def value(self, direction: str) -> float:
         """Return the mass in kg or, for ``"rx"``, ``"ry"`` or ``"rz"``, the moment of inertia in kg·m²."""
@@ -223,8 +224,8 @@ class JointSpring:
     name : str
         Name by which a parameter refers to the stiffness.
     nodes : tuple of int, length 2
-        Node indices, or node names as long as the nodes are not numbered; None as the second entry means the
-        ground.
+        Node indices; None as the second entry means the ground. In a problem file, the entries are names of
+        points, which are replaced by indices when the frame is built.
     stiffness : mapping of str to float
         Stiffness by direction: N/m for ``"x" "y" "z"``, N·m/rad for ``"rx" "ry" "rz"``. If the two nodes do not
         coincide, the springs act midway between the nodes, on rigid arms from both, so that rigid-body motions
@@ -302,7 +303,7 @@ class JointSpring:
         }
 
     def require_coincident(self, nodes: FloatArray) -> None:
-        """Raise ValueError if tied nodes do not coincide; `nodes` (n_nodes, 3) has all coordinates in m."""
+        """Raise ValueError if tied nodes do not coincide. `nodes` (n_nodes, 3) are all coordinates in m."""
         first, second = self.nodes
         if not self.tied or second is None:
             return

@@ -210,9 +210,9 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
     If both ends of an element are free, a parameter changes it if a term with that parameter couples the ends. If
-    one end is fixed, a parameter changes it if, under a rigid translation of the structure, the term's forces at
-    the free end are not in equilibrium. For an element with a fixed end, mass terms count only for parameters that
-    change no stiffness.
+    one end is fixed, a parameter changes the element if a term with that parameter causes forces at the free end
+    that are not in equilibrium under a rigid translation of the structure. For an element with a fixed end, mass
+    terms count only for parameters that change no stiffness.
 
     Raises
     ------

@@ -90,7 +90,7 @@ class Frame:
         ------
         ValueError
             If a target does not exist or is updated twice; an inertia of zero is updated without a direction; a
-            factor multiplies a value of zero; the targets of a parameter that is no factor have values in
+            factor multiplies a value of zero; the targets of a parameter that is not a `Factor` have values in
             different units; two groups, masses or springs have the same name; an element, support, mass, spring or
             arm is at a node that does not exist; an element has no length or is parallel to its y direction; a
             support has an unknown direction; nothing is free; tied nodes do not coincide; or a node without an

@@ -62,7 +62,7 @@ class FreeMotions:
 
 
 def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
-    """Return the strain-free motions at theta (n_parameters,), usually the starting point.
+    """Return the motions with zero or negative strain energy at theta (n_parameters,), usually the starting point.
 
     The motions are computed block by block, as eigenvectors of K scaled to a unit diagonal. Metres and radians,
     and stiff and soft parts, thus count equally.
@@ -122,10 +122,11 @@ def require_stable(
     Raises
     ------
     ValueError
-        If a matrix is not finite or not positive semidefinite, the mass matrix is zero, or degrees of freedom have
-        neither stiffness nor mass. The message says what moves.
+        If a matrix is not finite, or the mass matrix is zero. Also if a matrix is not positive semidefinite, or
+        degrees of freedom have neither stiffness nor mass; the message then says what moves.
     MechanismError
-        If there are strain-free motions that move mass and are not allowed. The message states how many.
+        If there are strain-free motions that move mass and are not allowed. The message states their number, and
+        says what moves.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)

@@ -98,8 +98,8 @@ def ownership(
     ------
     ValueError
         If names are not distinct, a target does not exist or is updated twice, an inertia of zero is updated
-        without a direction, a factor multiplies a value of zero, or the targets of a parameter that is no factor
-        have values in different units.
+        without a direction, a factor multiplies a value of zero, or the targets of a parameter that is not a
+        `Factor` have values in different units.
     """
     things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):

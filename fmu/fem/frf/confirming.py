@@ -1,4 +1,4 @@
-"""Errors of reduced-model FRFs at posterior draws, compared with a larger basis and with the full structure."""
+"""Errors of reduced-model FRFs at posterior draws, found with a larger basis and with the full structure."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class FRFCertificate:
         Largest shift of the posterior that the FRF errors cause, in posterior standard deviations: to first order,
         in the direction in which the shift is largest.
     lines : int
-        Number of lines at which the full structure was solved directly.
+        Number of direct solves of the full structure: one for each of a few lines at every draw.
     direct_error : float
-        Largest error at these lines, in standard deviations of the data.
+        Largest FRF error at these lines, in standard deviations of the data.
     tolerance : float
         Largest `shift` and `direct_error` allowed.
     """
@@ -74,7 +74,7 @@ class FRFCertificate:
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> FRFCertificate | None:
-        """Return the certificate stored in a trace's attributes, or None if there is none."""
+        """Return the certificate stored in a trace's attributes, or None if no certificate is stored."""
         values = {field.name: attrs.get(f"{_PREFIX}{field.name}") for field in fields(cls)}
         if any(value is None for value in values.values()):
             return None
@@ -94,10 +94,12 @@ def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertif
     """Compute the errors of reduced-model FRFs at n parameter vectors.
 
     Return None if there is no reduced model, because the basis has all degrees of freedom. `theta` (n, p) are the
-    structural parameters and `values` (n, q) the damping parameters. Let r be the errors at all lines in standard
-    deviations, and J the FRF derivatives in the same units. To first order, the posterior moves by the component
-    of r in the column space of J. The direct solves use (K (1 + iη) − ω² M) x = f with one loss factor, which
-    tests the basis for any kind of damping.
+    structural parameters and `values` (n, q) the damping parameters.
+
+    Let r be the errors at all lines in standard deviations of the data, and J the FRF derivatives in the same
+    units. To first order, the shift of the posterior, in posterior standard deviations, is the length of the
+    component of r in the column space of J. The direct solves use (K (1 + iη) − ω² M) x = f with one loss factor,
+    which tests the basis for any kind of damping.
     """
     if model.block.size == model.full.size:
         return None

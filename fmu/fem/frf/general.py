@@ -1,13 +1,15 @@
 """Damping that couples the modes: loss factors for parts of the structure, and dashpots.
 
-The dynamic stiffness D(ω) = K' + i ω C − ω² M has a complex symmetric K' = Σ_k (1 + i η_k) c_k K_k, with a loss
-factor η_k for each stiffness term, and C = α M + β K + Σ_d c_d C_d. Its inverse on the reduced basis is a sum over
-the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0. This is solved as a linear eigenproblem of
-twice the size (Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
+The dynamic stiffness is D(ω) = K' + i ω C − ω² M. In the complex symmetric K' = Σ_k (1 + i η_k) c_k K_k, each
+stiffness term c_k K_k has a loss factor η_k. The viscous part C = α M + β K + Σ_d c_d C_d contains Rayleigh
+damping and the dashpots, each with a coefficient c_d and a matrix C_d. On the reduced basis, the inverse of D is a
+sum over the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0, which is solved as a linear
+eigenproblem of twice the size (Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
 
     H_jk(ω) = Σ_r x_jr x_kr / (i ω − s_r),      x_rᵀ (2 s_r M + C) x_r = 1.
 
-The derivatives need only the derivatives of the matrices: dH_jk = −u_jᵀ dD u_k, with u_k(ω) = D(ω)⁻¹ b_k.
+Here x_jr is the displacement of point j in the eigenvector x_r. The derivatives need only the derivatives of the
+matrices: dH_jk = −u_jᵀ dD u_k, where u_k(ω) = D(ω)⁻¹ b_k is the response to a unit force b_k at point k.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ class GeneralDamping:
 class GeneralResponses:
     """FRFs of a structure with coupled modes; parameters and methods as in `ModalResponses`.
 
-    If the poles at a parameter vector cannot be found accurately, the responses there are solved for line by line.
+    If the poles at a parameter vector cannot be found accurately, the responses at this parameter vector are
+    computed by a direct solve at every line.
     """
 
     def __init__(

@@ -38,7 +38,7 @@ class Damping:
         Rayleigh's α in 1/s and β in s, and the loss factor of the whole structure.
     ratios : tuple of Source
         Damping ratios of the elastic modes in ascending order; the last ratio applies to all higher modes too.
-        There must be none if the damping couples the modes.
+        Must be empty if the damping couples the modes; in that case, ratios would be ignored.
     losses : dict of int to Source
         Loss factor of the stiffness that a model parameter scales, keyed by the parameter's index. Parameters
         that scale the same stiffness must have the same loss factor. All other stiffness has the loss factor
@@ -84,13 +84,14 @@ class FRFModel:
         All blocks of the structure with a drive, a response or a dashpot, taken together as one block, and the
         same block reduced. If degrees of freedom have no mass, a small multiple of K is added to M.
     rows : sparse, shape (n_points, full.size)
-        The drives and responses.
+        Matrix that maps displacements of `full` to displacements of the points. The points are all drives and
+        responses; a point that occurs several times is included once.
     responses, drives : ndarray of int, shape (n_frfs,)
         Points of each FRF, as rows of `rows`.
     of_block : ProportionalDamping or GeneralDamping
         The damping projected onto the basis of `block`.
     points : ndarray, shape (n_points, block.size)
-        The drives and responses projected onto this basis.
+        `rows` projected onto the basis of `block`.
     error : float
         Error at the last training point, before the basis was truncated: the root of the summed squared errors at
         all lines, each error divided by its unit. NaN if the basis has all degrees of freedom.

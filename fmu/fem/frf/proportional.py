@@ -167,8 +167,8 @@ class ProportionalDamping:
         """Return the divided differences C_rs of c and E_rs of h between all modes, each of shape (n, r, r).
 
         For two modes with the same ratio, C is exact even if their eigenvalues are almost equal. For two modes
-        with different ratios, the divided difference does not exist if the eigenvalues are equal. If they are
-        almost equal, the ratios are therefore treated as equal.
+        with different ratios, the divided difference does not exist if the eigenvalues are equal. For equal or
+        almost equal eigenvalues, the mean of the two ratios is therefore used for both modes.
         """
         omega, zeta = np.sqrt(np.maximum(lam, 0.0)), self._zeta(values, lam.shape[1])
         total = omega[:, :, None] + omega[:, None]
@@ -274,9 +274,10 @@ class ModalResponses:
         return self.damping.differences(self.lam, self.values, self.rates)
 
     def gradient(self) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of L for the lines added so far by `add`.
+        """Return the derivatives of L with respect to the parameters, for all lines added so far by `add`.
 
-        They are with respect to the structural parameters, (n, p), and to the damping parameters, (n, q).
+        The first array, (n, p), is for the structural parameters. The second, (n, q), is for the damping
+        parameters.
         """
         T, square, turned, of_viscous = self._sums
         A = self.amplitudes

@@ -29,9 +29,9 @@ from fmu.types import ComplexArray, FloatArray, IntArray
 EXACT_LIMIT = 64
 """Block size up to which the basis has all degrees of freedom."""
 TOLERANCE = 1.0
-"""Largest combined error of all FRFs and lines, where each error is divided by its unit (`Lines.error`). Such an
-error moves a posterior by only a small part of this, because most of it does not look like a parameter change
-(`fmu.fem.frf.confirming`)."""
+"""Largest combined error of all FRFs and lines, where each error is divided by its unit (`Lines.error`). Errors of
+this size move a posterior by only a small part of a standard deviation, because most of the error does not
+resemble the effect of a parameter (`fmu.fem.frf.confirming`)."""
 _BEYOND = 1.3
 """Modes up to this multiple of the band's highest frequency are in the basis."""
 _SHIFTS = (0.0, 0.55, 1.02)
@@ -42,7 +42,7 @@ _OF_TRUNCATION = 0.5
 """Share of the tolerance that truncation may use."""
 _PASSES, _MOST_POINTS, _SHOWN, _EVEN = 4, 64, 16, 60
 _DEPENDENT = 1e-10
-"""Singular value, relative to the largest, below which a direction adds nothing."""
+"""Eigenvalue of the Gram matrix of responses, relative to the largest, below which a direction is negligible."""
 
 
 class Solved(Protocol):
@@ -87,7 +87,10 @@ class Lines:
     unit: FloatArray
 
     def error(self, one: ComplexArray, other: ComplexArray) -> FloatArray:
-        """Return √(Σ |difference / unit|²), summed over all FRFs and lines, shape (n,)."""
+        """Return √(Σ |(one − other) / unit|²), summed over all FRFs and lines, shape (n,).
+
+        `one` and `other` are receptances, shape (n, n_frfs, n_lines).
+        """
         return np.asarray(np.sqrt(np.sum(np.abs((one - other) / self.unit) ** 2, axis=(1, 2))))
 
 
@@ -117,20 +120,21 @@ def train(
     full : FullBlock
         A block of at most `EXACT_LIMIT` degrees of freedom keeps them all, without training.
     rows : sparse, shape (n_points, full.size)
-        The drive and response points.
+        Matrix that maps the block's displacements to those of the drive and response points.
     lower, upper : ndarray, shape (n_parameters,)
     lines : Lines
     bind : callable
         Returns the responses of a reduced block as a function of theta.
     tolerance : float
-        Largest `Lines.error` at a training point.
+        Largest `Lines.error` allowed at a training point.
 
     Notes
     -----
     At each training point, the receptances are compared with receptances from a basis enlarged by the modes and
-    responses at that point. Training ends when `_PASSES` successive points agree, or after `_MOST_POINTS` points.
-    The basis is then truncated to the fewest leading directions that meet half the tolerance at the first `_SHOWN`
-    points, relative to the whole basis.
+    responses at that point. The enlarged basis is kept if the error exceeds the tolerance. Training ends when the
+    error is within the tolerance at `_PASSES` successive points, or after `_MOST_POINTS` points. The basis is then
+    truncated to the fewest leading directions whose error, compared with the whole basis, is at most half the
+    tolerance at the first `_SHOWN` points.
     """
     centre = 0.5 * (lower + upper)
     if full.size <= EXACT_LIMIT:
@@ -183,7 +187,11 @@ def _energy(full: FullBlock, centre: FloatArray, lines: Lines) -> sp.csr_array:
 
 
 def _snapshots(full: FullBlock, rows: sp.csr_array, theta: FloatArray, lines: Lines) -> FloatArray:
-    """Return the modes in the band and the undamped responses at theta (n_parameters,), as columns (size, m)."""
+    """Return modes and undamped responses at theta (n_parameters,), as columns (size, m).
+
+    The modes are all modes up to `_BEYOND` times the band's highest frequency. The responses are the displacements
+    under unit forces at all points, at the frequencies in `_SHIFTS`.
+    """
     top, low = float(np.max(lines.omega)), float(np.min(lines.omega))
     count = 8
     while True:
@@ -214,11 +222,11 @@ def _truncate(
 ) -> ReducedBlock:
     """Return the block reduced to the fewest basis directions that meet the tolerance at all `points`.
 
-    If no smaller number meets it, all but negligible directions are kept.
+    If no smaller number of directions meets the tolerance, all but negligible directions are kept.
 
     The directions come from a proper orthogonal decomposition of the responses at `points`, in the energy norm of
-    A. The responses are weighted by the square roots of the error units, because an FRF error is a product of two
-    response errors.
+    A. Each response is divided by the square root of the smallest error unit of its point (`Bound.least_unit`),
+    because an FRF error is a product of two response errors.
     """
     basis = whole.basis
     L = np.linalg.cholesky(basis.T @ (A @ basis))

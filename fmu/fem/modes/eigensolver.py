@@ -228,7 +228,7 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
-    """Return the eigenvectors (n, count) of M x = μ A x with the highest μ first, given the factors of A."""
+    """Return the eigenvectors (n, count) of M x = μ A x for the highest μ, in descending order of μ."""
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ

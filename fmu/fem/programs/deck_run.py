@@ -32,7 +32,7 @@ class DeckRun:
     program : Path
         Path of the executable.
     command : tuple of str
-        The program and its arguments, with ``{job}`` and ``{deck}``.
+        The program and its arguments, which may contain the placeholders ``{job}`` and ``{deck}``; see `name`.
     template : str
         Text of the template.
     deck : Path
@@ -63,10 +63,10 @@ class DeckRun:
         timeout: float,
         folder: Path,
     ) -> tuple[DeckRun, list[ArgumentError]]:
-        """Build the run for a template (path relative to `folder`); also return all errors in the arguments.
+        """Return a `DeckRun` for a template (path relative to `folder`), and a list of errors in the arguments.
 
-        Files that a Nastran template in `folder` includes are added to the inputs. Each of `names` must have a
-        placeholder in the template.
+        Files that a Nastran template in `folder` includes are added to the inputs. It is an error if one of
+        `names` has no placeholder in the template.
         """
         path, wrong, text = folder / template, list[ArgumentError](), ""
         deck = Path(filled_name(path.name) if path.suffix == ".in" else path.name)
@@ -128,7 +128,8 @@ class DeckRun:
     def find_output(self, text: str, folder: Path) -> Path:
         """Return the path of an output file, ignoring the case of its name, because MYSTRAN writes ``job.F06``.
 
-        If no such file or several exist, return the path with the name as given.
+        A file with exactly the given name is preferred. Otherwise the result is the only file whose name differs
+        in case alone. If there is no such file, or more than one, return the path with the name as given.
         """
         path = folder / self.name(text)
         if not path.exists():
@@ -137,7 +138,7 @@ class DeckRun:
         return path
 
     def name(self, text: str) -> str:
-        """Return a text with ``{job}`` and ``{deck}`` replaced by the deck's name, without and with its suffix."""
+        """Return a text with ``{deck}`` replaced by the deck's name, and ``{job}`` by the name without suffix."""
         return text.replace("{job}", self.deck.stem).replace("{deck}", self.deck.name)
 
     def explain(self, why: str, folder: Path) -> str:

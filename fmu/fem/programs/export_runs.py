@@ -1,9 +1,9 @@
 """Separate program runs that export the stiffness and mass of one property group at a time.
 
-Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its starting value, and all others are reduced to a
-thousandth of theirs. Then K_j is a difference of two exports, in which the other terms and their rounding errors
-are a thousand times smaller than in K(θ). The other parameters are not zero, because programs refuse elements
-without stiffness and omit rows without stiffness.
+Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its starting value, and each other parameter has a
+thousandth of its starting value. The matrix K_j then follows from the difference of two exports, in which the
+other terms and their rounding errors are a thousand times smaller than at the starting values. The other
+parameters are not zero, because programs refuse elements without stiffness and omit rows without stiffness.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _CHECKED = 0.75
 
 
 def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the parameter values for all unit runs and for a final run that checks linearity.
+    """Return the parameter values for a run with low values, for all unit runs, and for a run that checks them.
 
     In the first run all values are low: `UNIT` times the starting values. In each of the next runs one parameter
-    has its starting value. In the last run all values are in between; it shows whether the matrices are linear in
-    the parameters.
+    has its starting value, and all others are low. In the last run all values are in between; its matrices check
+    the terms that are recovered from the other runs.
     """
     low = {name: UNIT * x for name, x in start.items()}
     alone = [low | {name: x} for name, x in start.items()]
@@ -47,15 +47,15 @@ def run_exports(
     values : sequence of mapping of str to float
         Parameter values, one mapping per run.
     needed : sequence of str
-        Files that the program must write, with ``{job}`` and ``{deck}``.
+        Names of the files that the program must write. They may contain the placeholders ``{job}`` and ``{deck}``.
     store : Path
         Folder that contains the runs.
 
     Raises
     ------
     ValueError
-        If a run fails or does not write a file. The message gives the values and the last lines that the program
-        printed.
+        If a run fails or does not write one of these files. The message gives the parameter values and the last
+        lines that the program printed.
     """
     key = repr([list(run.command), sorted(run.contents().items())])
     return [_run_once(run, one, needed, store, key) for one in values]

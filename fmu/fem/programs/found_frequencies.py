@@ -35,8 +35,8 @@ class FoundFrequencies:
     Attributes
     ----------
     file : str
-        File in the run's folder; ``{job}`` and ``{deck}`` stand for the deck's name, without and with its suffix.
-        ``output.txt`` contains the program's printed output.
+        Name of a file in the run's folder. ``{deck}`` is replaced by the deck's name, and ``{job}`` by that name
+        without its suffix. The file ``output.txt`` contains the program's printed output.
     pattern : str
         Regular expression with one group, the frequency in Hz; ``^`` and ``$`` match at every line.
 
@@ -76,10 +76,10 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return all matches in a file.
+        """Return the text of the pattern's group in each match in a file, or None where the group took no part.
 
-        The search runs in a separate process, which is killed after `seconds`, because some patterns never end.
-        Raise ArgumentError if it is killed or fails.
+        The search runs in a separate process, which is killed after `seconds`, because the search for some
+        patterns practically never ends. Raise ArgumentError if the process is killed or fails.
         """
         command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
         try:

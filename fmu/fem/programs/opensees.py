@@ -1,10 +1,11 @@
-"""Models that a Python function builds in OpenSees, using openseespy: ``pip install 'fmu[opensees]'``.
+"""Models that a Python function builds in OpenSees through the package openseespy.
 
-``build(theta)`` calls openseespy to create a model, its nodes, supports, elements and masses; it defines no
-analysis. OpenSees has one model per process, so a model that already exists there is wiped.
+The package is installed by ``pip install 'fmu[opensees]'``. The function ``build(theta)`` calls openseespy to
+create a model with nodes, supports, elements and masses; it defines no analysis. OpenSees has one model per
+process, so an existing model in the process is wiped.
 
-Stiffness and mass are the tangent matrices at rest. The integrator GimmeMCK assembles a M + b C + c K, and the
-solver FullGeneral stores this matrix densely:
+Stiffness and mass are the tangent matrices at rest. The integrator GimmeMCK assembles a M + b C + c K for given
+factors a, b and c, and the solver FullGeneral stores this matrix densely:
 https://portwooddigital.com/2020/05/17/gimme-all-your-damping-all-your-mass-and-stiffness-too/
 """
 
@@ -79,8 +80,8 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     Returns
     -------
     ExportedModel
-        Its degrees of freedom are the ones that are neither fixed nor constrained to others. The displacements of
-        constrained degrees of freedom are weighted sums of these.
+        Its matrices contain the degrees of freedom that are neither fixed nor constrained to others. Its `motions`
+        give the constrained degrees of freedom as weighted sums of the free ones; a note lists any exceptions.
 
     Raises
     ------
@@ -159,19 +160,20 @@ def from_opensees(
         Parameter names, in the order of theta.
     start, lower, upper : array_like, shape (n_parameters,)
         The starting point and the bounds. Matrices are assembled at the starting point, at points where one
-        parameter varies, and at points where all vary. Bounds that are not finite are replaced by half and twice
-        the starting value.
+        parameter varies, and at points where all vary. An infinite lower bound is replaced by the smaller of
+        half and twice the starting value, and an infinite upper bound by the larger.
 
     Returns
     -------
     SeparableModel
-        The model. It reproduces the matrices at two further points to 1e-8.
+        The model. It reproduces each entry a_ij of the matrices at two further points to 1e-8 √(a_ii a_jj).
 
     Raises
     ------
     ValueError
-        If there are no names, `start`, `lower` or `upper` is not one number per name, the matrices are not sums of
-        products of parameter powers, or as for `export_matrices`.
+        If there are no names, if `start`, `lower` or `upper` is not one number per name, if a parameter starts at
+        zero or changes nothing, if the degrees of freedom or the constraints depend on theta, if the matrices are
+        not sums of products of parameter powers, or in the cases listed for `export_matrices`.
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
         if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
@@ -214,7 +216,8 @@ class OpenSeesModel(BlackBoxModel):
     Raises
     ------
     ValueError
-        If `start` is not a list of finite numbers, or as for `export_matrices`.
+        If `start` is not a list of finite numbers, `modes` or `step` is out of range, a store is given and `build`
+        is not in a file, or in the cases listed for `export_matrices`.
     """
 
     place = "model.file"
@@ -285,7 +288,7 @@ class ModesInOpenSees:
 
 
 def _fixed_model(model: ExportedModel) -> SeparableModel:
-    """Return the model that was exported at one theta as a model without parameters."""
+    """Convert a model that was exported at one theta to a `SeparableModel` without parameters."""
     return SeparableModel([Term(model.stiffness, ())], [Term(model.mass, ())], model.dofs, motions=model.motions)
 
 

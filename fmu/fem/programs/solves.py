@@ -47,23 +47,24 @@ class Solves:
     Parameters
     ----------
     call : callable
-        ``call(theta)`` returns a result as `fmu.fem.black_box` describes, or raises.
+        ``call(theta)`` returns a result as described in `fmu.fem.black_box`, or raises an exception.
     n_parameters : int
     batched : bool
         Whether `call` takes theta of shape (n_points, n_parameters).
     store : SolveStore, optional
-        Store for solves that took `least_s` or longer per point. If two processes need the same points, only one
-        of them calls the callable. Batches that share only some points may solve these twice, because one lock per
-        point would need too many open files.
+        Store for solves that took `least_s` or longer per point. It is no longer used once a successful solve
+        takes less time. If two processes need the same points, only one of them calls the callable. Batches that
+        share only some points may solve these twice, because one lock per point would need too many open files.
     least_s : float
         Shortest time per point, in seconds, for which a solve is stored.
     retries : int
-        How often a failed call is repeated.
+        Largest number of times that a failed call is repeated.
     loading_s : float
         If the first call takes less time than this, in seconds, it may consist mostly of imports. A second call is
         then timed.
     lasting : type
-        Exceptions, besides AnswerError, that would occur again in a repeated call. Only these failures are stored.
+        Class of the exceptions that would occur again in a repeated call, besides AnswerError. A failure is stored
+        only if its exception is of this class or an AnswerError.
     is_outdated : callable, optional
         ``is_outdated(solve)`` returns True if a stored solve must be made again.
     most_bytes : int
@@ -72,7 +73,7 @@ class Solves:
     Attributes
     ----------
     reasons : list of Failure
-        The first twenty points that failed.
+        The first twenty failures.
     """
 
     call: Callable[[FloatArray], object]

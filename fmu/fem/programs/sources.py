@@ -80,7 +80,11 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
 
 
 def _imports(file: Path, module: str) -> Iterator[str]:
-    """Yield the full names that a module imports: modules, and names that may be submodules of a package."""
+    """Yield the full names of the modules that a module imports.
+
+    For ``from a import b`` the name is ``a.b``, which may also be an attribute of the module ``a``. No names are
+    yielded if the file is not Python source or cannot be parsed.
+    """
     if file.suffix != ".py":
         return
     package = module if file.stem == "__init__" else module.rpartition(".")[0]

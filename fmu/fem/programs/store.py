@@ -89,7 +89,7 @@ class SolveStore:
         return (solve for solve in map(_read, sorted(paths)) if solve is not None)
 
     def find(self, theta: FloatArray) -> Solve | None:
-        """Return the stored solve at theta (n_parameters,), or None if there is none or its file is damaged."""
+        """Return the stored solve at theta (n_parameters,), or None if it is missing or its file is damaged."""
         for path in self._paths(theta):
             found = _read(path)
             if found is not None and found.theta.tobytes() == theta.tobytes():

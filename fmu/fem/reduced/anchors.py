@@ -1,13 +1,14 @@
 """Anchor points in a parameter box, at which K + s M is factorised, and bounds relative to these points.
 
-If every term K_k is positive semidefinite, then
+Let K(θ) be the sum of the terms c_k(θ) K_k. If every matrix K_k is positive semidefinite, then
 
     K(θ) + s M(θ) ≥ α (K(θ̄) + s M(θ̄)),    α = min over the terms of c_k(θ) / c_k(θ̄)
 
 (the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for
-Parametrized Partial Differential Equations*, section 4.2.2). With s > 0 the mass terms count too. One anchor θ̄ in
-the middle of the box is enough if no stiffness parameter changes by more than a factor of about 30. If a stiffness
-may vanish, there are several anchors.
+Parametrized Partial Differential Equations*, section 4.2.2). If the shift s is positive, the terms of M are
+included in the condition and in the minimum. One anchor point θ̄ in the middle of the box is enough if no
+stiffness parameter changes by more than a factor of about 30. If a stiffness changes more, or may vanish, there
+are several anchor points.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class SingularAnchorError(ValueError):
     Attributes
     ----------
     parameter : int or None
-        Index of the first parameter that is zero at the anchor point, or None if there is none.
+        Index of the first parameter that is zero at the anchor point. It is None if no parameter is zero there, or
+        if the error is not due to K + s M at an anchor point.
     """
 
     def __init__(self, message: str, parameter: int | None = None) -> None:
@@ -87,8 +89,8 @@ class Far(NamedTuple):
     is_above : bool
         True if points above `value` are far, False if points below it are.
     is_negative : bool
-        Whether K + s M has a negative eigenvalue in the reduced space at the point. Not tested, and False, if the
-        bound is `Anchors.proven`.
+        Whether K + s M is not positive definite in the reduced space at the point. If the bound is
+        `Anchors.proven`, this is not tested and the value is False.
     """
 
     theta: FloatArray
@@ -116,7 +118,8 @@ class Anchors:
         lowest elastic eigenvalue at the first one (1 if none is found), or more if K is negative for some motion.
     proven : bool
         Whether all terms in K + s M are positive semidefinite, with coefficients that are not negative in the box.
-        If not, α is estimated as the smallest eigenvalue of the reduced matrices.
+        The factor α in the bound A ≥ α Ā, with A = K + s M at a point and Ā at an anchor point, is then proven.
+        Otherwise α is estimated as the smallest eigenvalue ν of A x = ν Ā x in the reduced space.
 
     Raises
     ------
@@ -174,7 +177,10 @@ class Anchors:
         return self.matrix(0)
 
     def factor(self, a: int) -> Factor:
-        """Return the factors of K + s M at anchor point `a`. Raise SingularAnchorError if it is not definite."""
+        """Return the factors of K + s M at anchor point `a`.
+
+        Raise SingularAnchorError if the matrix is not positive definite.
+        """
         if a not in self._factors:
             try:
                 found = self._kept_factor(a) or factorise(self.matrix(a))
@@ -206,9 +212,10 @@ class Anchors:
         return self.block.run_tasks(work, self, tasks, sum(of.n_bytes for of in self._factors.values()))
 
     def _kept_factor(self, a: int) -> Factor | None:
-        """Return the factors of K at anchor point `a`, or None unless s = 0 and a large K is clearly definite.
+        """Return the factors of a large block's K at anchor point `a`, or None.
 
-        They are reused if the block still has them from its last solve.
+        The result is None if the block is small, if s is not 0, or if K is not clearly positive definite. The
+        factors are reused if the block still has them from its last solve.
         """
         if self.shift or self.block.size < LARGE:
             return None
@@ -318,8 +325,9 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
     """Return anchor points (n_anchors, p): the middle of the box, and of its parts if a stiffness varies much.
 
     Each part is divided along the parameter with the largest ratio between its bounds, as long as that ratio
-    exceeds `_WIDE` and there are fewer than `_MOST` anchor points. Parameters that change no stiffness, or may be
-    negative, do not count.
+    exceeds `_WIDE` and there are fewer than `_MOST` anchor points. If the lower bound of this parameter is zero,
+    the middle of the face where the parameter is zero is an anchor point too. Parameters that change no stiffness,
+    or may be negative, do not count.
     """
     varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
     anchors, parts = [_middle(lower, upper)], [(lower, upper)]

@@ -1,11 +1,12 @@
 """The parametric reduced basis: one fixed basis for every theta in a parameter box.
 
-K(theta) and M(theta) are sums of fixed matrices, so the modes at all theta in a box lie close to a space of
-few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition to a basis that is
-orthonormal in the mass matrix at the box's centre. Every term is projected onto the basis once. A solve is then a
-dense eigenproblem, usually of order 10 to 50, whatever the size of the structure. A batch of solves is one call to
-NumPy's batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential
-Equations*, chapter 6). By Rayleigh's principle the reduced eigenvalues are never below the exact ones.
+K(theta) and M(theta) are sums of fixed matrices with coefficients that depend on theta, so the modes at all theta
+in a box lie close to a space of few dimensions. The modes at sampled points are compressed by proper orthogonal
+decomposition to a basis that is orthonormal in the mass matrix at the box's centre. Every term is projected onto
+the basis once. A solve is then a dense eigenproblem, usually of order 10 to 50, whatever the size of the
+structure. A batch of solves is usually one call to NumPy's batched LAPACK (Quarteroni, Manzoni & Negri 2016,
+*Reduced Basis Methods for Partial Differential Equations*, chapter 6). By Rayleigh's principle the reduced
+eigenvalues are never below the exact ones.
 """
 
 from __future__ import annotations
@@ -139,7 +140,10 @@ class ReducedBlock(Block):
         return assemble(self._K, K), assemble(self._M, M)
 
     def changes(self, theta: FloatArray, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the modal products φᵀ ∂K φ and φᵀ ∂M φ for shapes φ (n, r, m), each (n, n_parameters, m, m)."""
+        """Return the modal products φᵀ ∂K φ and φᵀ ∂M φ, each of shape (n, n_parameters, r, r).
+
+        The columns of `phi` (n, r, r) are r shapes φ.
+        """
         m = phi.shape[2]
         both = (
             self._slopes(theta, coefficient, rows, phi, m)
@@ -155,7 +159,7 @@ class ReducedBlock(Block):
     def stiffness_changes(self, theta: FloatArray, weights: FloatArray) -> FloatArray:
         """Return the weighted stiffness derivatives Σ_k w_k ∂c_k/∂θ K_k, shape (n, n_parameters, r, r).
 
-        The `weights` w of the terms have shape (n, n_terms).
+        The `weights` w have shape (n, n_terms), and c_k is the coefficient of the stiffness term K_k.
         """
         n, r = len(theta), self.size
         weighted = weights[:, :, None] * self._K.reshape(len(self._K), -1)
@@ -182,7 +186,7 @@ class ReducedBlock(Block):
     def n_required(self, count: int, gradient: bool) -> int:
         """Return how many modes `seen` must compute to return `count` modes.
 
-        With `gradient` these are all modes, unless the block is `massless`.
+        If `gradient`, it must compute all modes, unless the block is `massless`.
         """
         return self.size if gradient and not self.massless else count
 
@@ -191,7 +195,7 @@ class ReducedBlock(Block):
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Return at most r sensor rows, and the reference shapes there; see `compress_rows` in this module."""
+        """Compress sensor rows and reference shapes to at most r rows each; see `compress_rows` in this module."""
         return compress_rows(rows, reference)
 
     def _slopes_seen(

@@ -1,8 +1,8 @@
 """Disk cache for trained reduced bases, each stored under a hash of the problem for which it was trained.
 
-If a file is missing, damaged or of another version, the basis is trained again. The cache is in the user's cache
-directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``. If that variable is set but
-empty, nothing is cached.
+If a file is missing, is damaged or was written by an incompatible version of fmu, the basis is trained again. The
+cache is in the user's cache directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``. If
+that variable is set but empty, nothing is cached.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _TITLE = "fmu basis 1"
 
 
 def load_basis(key: object) -> dict[str, FloatArray] | None:
-    """Return the arrays that `store_basis` stored for `key`, or None if there are none or the file is damaged.
+    """Return the arrays that `store_basis` stored for `key`, or None if the file is missing or damaged.
 
-    `key` is serialised as JSON.
+    `key` is serialised as JSON. The result is also None if nothing is cached.
     """
     path = _path(key)
     if path is None:

@@ -2,11 +2,14 @@
 
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
 Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the modes at
-the anchor points. The correction for a residual r is Ā⁻¹ r, where Ā is K + s M at an anchor point, with its
-factors from training. At the first point K − σ M is factorised, with σ between two modes. Its negative eigenvalues
-are as many as the λ below σ (Sylvester), so they show whether a mode is missing. If their number does not agree
-with the modes found, the ordinary eigensolver is used from then on. The ordinary eigensolver is also used where
-the iterations do not converge. Several points are tasks for the block's engine, if it has one.
+the anchor points. The correction for a residual r is Ā⁻¹ r, where Ā is the matrix K + s M at an anchor point
+(`fmu.fem.reduced.anchors`). If training has factorised Ā, its factors are reused.
+
+To find out whether a mode is missing, K − σ M is factorised at the first point, with σ between two modes. By
+Sylvester's law, the number of its negative eigenvalues is the number of eigenvalues λ below σ. If this number does
+not agree with the modes found, the ordinary eigensolver is used from then on. The ordinary eigensolver is also
+used where the iterations do not converge. If the block has an engine, its workers solve several points in
+parallel.
 """
 
 from __future__ import annotations
@@ -58,8 +61,8 @@ class _Start(NamedTuple):
 class ConfirmedBlock(FullBlock):
     """A large block whose modes are computed by iterations that start from the modes of its reduced model.
 
-    Modes that do not converge are computed as in `FullBlock`. Once a mode was found to be missing, or the modes
-    could not be counted, all modes are computed in that way.
+    At points where the iterations do not converge, all modes are computed as in `FullBlock`. This is done at every
+    point once a mode was found to be missing or the modes could not be counted.
 
     Parameters
     ----------
@@ -90,10 +93,11 @@ class ConfirmedBlock(FullBlock):
         return lam, phi
 
     def _from_ritz(self, theta: FloatArray, count: int) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return the modes found by iteration at theta (n, p), keyed by point index, for the points that converge.
+        """Return the modes found by iteration at theta (n, p), keyed by point index.
 
-        Each entry is λ (wanted,) and shapes (size, wanted). The dict is empty if a mode was found to be missing,
-        or if the modes could not be counted.
+        Each entry contains λ (m,) and shapes (size, m), with m > `count`. Points where the iterations do not
+        converge are omitted. The dict is empty if a mode was found to be missing, or if the modes could not be
+        counted.
         """
         started: list[int] = []
 

@@ -3,8 +3,8 @@
 Decisions based on these costs do not depend on a clock.
 
 The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
-with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Costs are compared with each other, except for the
-limit `fmu.fem.reduced.training.CHEAP`. On other machines their ratios are correct within a factor of two.
+with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Costs are compared only with each other and with the
+limit `fmu.fem.reduced.training.CHEAP`. On other machines, the ratios of costs are correct within a factor of two.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Cost:
 
     @property
     def solve(self) -> float:
-        """Cost of one iteration with existing factors: a solve for one right-hand side, and the work beside it."""
+        """Cost of one iteration with existing factors: one linear solve, and all other operations."""
         return _AN_ITERATION + _A_SOLVE * self.n_entries
 
     @property
@@ -93,9 +93,9 @@ class Cost:
 def memory_in_words(model: SeparableModel) -> str:
     """Return a sentence on the memory that a run with a reduced model needs, or "" if no factors are stored.
 
-    Factors are stored for blocks with at least `LARGE` degrees of freedom that have been solved. The sentence also
-    says if less memory than that is free. The constants come from frames, solids and shells in the study of large
-    structures, where the estimates agree with the measured peaks within a fifth.
+    Factors are stored for blocks with at least `LARGE` degrees of freedom that have been solved. If too little
+    memory is free for the run, the sentence says so. The constants were determined from frames, solids and shells
+    (results/large-structures.md), where the estimates agree with the measured peaks within a fifth.
     """
     kept = [model.last_factor(dofs).factor for dofs in model.blocks if len(dofs) >= LARGE]
     of_factors = sum(factor.n_bytes for factor in kept if factor is not None)

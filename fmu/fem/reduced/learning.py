@@ -152,7 +152,7 @@ class Learner:
         return lam, y
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return the comparison coordinates as rows for V, and the reference shapes there; see `Block.observe`."""
+        """Return the same as `Block.observe`, but with rows for the coefficients of the trial vectors V."""
         return compress_rows(rows @ self.space.V, reference)
 
     def add(self, X: FloatArray) -> None:
@@ -162,7 +162,7 @@ class Learner:
         self._share(self.space.V[:, known:])
 
     def share_with(self, basis: FloatArray) -> SharedResiduals | None:
-        """Return the shared residuals for a basis (n_dof, q) within the space, or None if there are none."""
+        """Return the shared residuals for a basis (n_dof, q) within the space, or None if `shared` is None."""
         return None if self.shared is None else self.shared.restrict(self.space.V.T @ (self.anchors.first @ basis))
 
     def _share(self, X: FloatArray) -> None:
@@ -170,7 +170,7 @@ class Learner:
             self.shared = self.shared.grown(X, partial(self.anchors.solve, 0))
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
-        """Add principal directions of the corrections C (n_dof, m) to the space, as many as errors require.
+        """Add the fewest principal directions of the corrections C (n_dof, m) that reduce the errors enough.
 
         The remaining energy of each correction is then at most the larger of its `target` (m,) and the fraction
         `_STEP` of its own energy, unless the space reaches its largest size first.
@@ -187,9 +187,10 @@ class Learner:
         self.add(C @ (U[:, :n][:, kept] / np.sqrt(energy[:n][kept])))
 
     def counts_the_same(self, theta: FloatArray, needed: int) -> bool:
-        """Return True if the full model has as many low modes as the space at all theta (n, p).
+        """Return False if the full model and the space have different numbers of low modes at any theta (n, p).
 
-        The modes are counted by Sylvester's law of inertia. Points where they cannot be counted are skipped.
+        The modes below a gap, which lies above the `needed` lowest modes, are counted by Sylvester's law of
+        inertia. Points where they cannot be counted are skipped.
         """
         lam = self.space.modes(theta, min(self.count, self.space.size))[0]
         for values, (K, M) in zip(lam, self.block._matrices(theta), strict=True):
@@ -200,17 +201,18 @@ class Learner:
         return True
 
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
-        """Return a small space that reproduces the visited points' frequencies, and a rotation (q, q).
+        """Return a small space that reproduces the frequencies at the visited points, and a rotation (q, q).
 
-        The frequencies agree within `tolerance` times the point's `share`, unless more than `largest` vectors
-        would be needed. The space has at least `smallest` vectors.
+        The frequencies agree within `tolerance` times each point's `share`, unless more than `largest` vectors
+        would be needed. The space has at least `smallest` vectors, unless all further directions are negligible.
 
         The rotation's columns are the space's principal directions, in descending order of energy.
 
         The modes are compressed by proper orthogonal decomposition in the inner product of Ā, in which the energy
-        of an error is the relative error of λ. The space has as many vectors as the worst points need. Weights
-        reduce the largest errors (`balance_directions`), and modes have a larger weight where the allowed error is
-        smaller. A mode just above the highest needed mode may swap order with it nearby, and counts as needed.
+        of an error is the relative error of λ. The points with the largest errors determine the number of vectors.
+        Weights reduce the largest errors (`balance_directions`), and modes have a larger weight where the allowed
+        error is smaller. A mode just above the highest needed mode counts as needed, because the two may swap
+        order at nearby points.
         """
         space, theta = self.space, self.theta
         lam, y = self.solve_visited()
@@ -279,7 +281,7 @@ def count_needed(
 def balance_directions(
     Z: FloatArray, tolerance: float, smallest: int, largest: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal directions for the columns of Z, strongest first, and the energies that remain.
+    """Return orthonormal directions for the columns of Z (r, n_columns), strongest first, and remaining energies.
 
     Proper orthogonal decomposition minimises the mean remaining energy. Here, columns with a large remainder get a
     larger weight in the next decomposition, which reduces the largest remainder. Lawson's algorithm does this for

@@ -26,17 +26,19 @@ def affordable(n_dof: int) -> int:
     """Return the largest useful number of basis vectors for a block with `n_dof` degrees of freedom.
 
     A reduced solve with r vectors takes about 60 ns · r², and more from r = 1000 on. A sparse solve of the full
-    block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with r
-    = 12 √n_dof. Blocks with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all
-    vectors, because a batch of reduced solves never takes longer than solving their full model.
+    block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with
+    r = 12 √n_dof. The result is therefore 12 √n_dof, but at most 1000. A block with at most
+    `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors, because a batch of reduced
+    solves never takes longer than the full solves.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return the largest number of trial vectors for a block: twice `affordable`, at most `n_dof` and 2 GiB.
+    """Return the largest number of trial vectors for a block with `n_dof` degrees of freedom.
 
-    A block with at most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors.
+    It is twice `affordable`, but at most `n_dof`, and the vectors take at most 2 GiB of memory. A block with at
+    most `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(2 * affordable(n_dof), n_dof, MEMORY // (8 * n_dof))
 

@@ -34,7 +34,7 @@ _WIDENED, _REFINED = 3, 20
 class ReducedStructure(Approximation):
     """A structure solved in a reduced basis inside a box.
 
-    The full matrices are used outside the box and on failure.
+    Outside the box, and where a reduced solve fails, the full matrices are used.
 
     Parameters
     ----------
@@ -296,8 +296,9 @@ def train(
         and to the factor by which the frequency errors there must decrease. Returns None if the model is accurate
         enough.
     region : callable, optional
-        Maps the current reduced model to fresh points (n, n_parameters) in the part of the box that matters. If a
-        basis for the whole box would not pay, `tolerance` applies in that part only, and 1e-3 elsewhere.
+        Maps the current reduced model to fresh points (n, n_parameters) in the part of the box that matters. It is
+        used if the basis for the whole box reaches its largest useful size. A second training then applies
+        `tolerance` in that part only, and 1e-3 elsewhere; its model is returned if it succeeds.
     wider_box : callable, optional
         Maps the reduced model to the bounds of a larger box. Returns None unless much of the region that matters
         lies outside the present box.

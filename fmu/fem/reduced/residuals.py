@@ -1,8 +1,8 @@
 """Error bounds for a reduced model's modes, computed from their residuals.
 
-Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. Let A = K + s M, σ = μ + s and T = A⁻¹ M,
-which is self-adjoint in the inner product of A. Split the space into the span of the Ritz vectors and the
-A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most the
+Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. Let A = K + s M with a shift s, σ = μ + s
+and T = A⁻¹ M, which is self-adjoint in the inner product of A. Split the space into the span of the Ritz vectors
+and the A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most the
 eigenvalues of the matrix
 
     diag(1/σ_i) + D G D,    G_ij = r_iᵀ A⁻¹ r_j / (σ_i σ_j)^(3/2),    D_ii = (1/σ_i − β)^(−1/2),
@@ -11,14 +11,18 @@ up to terms of second order in G. For a single mode far from all other modes, th
 ‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465,
 with β of the next mode). The matrix bound also holds for close and repeated modes.
 
-If all terms are positive semidefinite, it is proven that A ≥ α Ā for an anchor point (`fmu.fem.reduced.anchors`).
-The form r_iᵀ A⁻¹ r_j is then at most r_iᵀ Ā⁻¹ r_j / α. The spectrum of σ T on the complement is estimated. The
-direction of the error is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its
-Rayleigh quotient wᵀ M w / (α wᵀ Ā w), times σ, is the mean x < 1 of that spectrum. Its upper end b is taken as the
-larger of √x and σ_i/σ_j. Here j is the lowest mode that the trial vectors do not represent, estimated from the
-modes at the anchor points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at
-most 1 + x/(1 − b) (Edmundson and Madansky). If a needed mode were missing from the space, no residual would show
-it. Training therefore counts the modes at some points by Sylvester's law of inertia.
+Let Ā be A at an anchor point. If all terms are positive semidefinite, it is proven that A ≥ α Ā
+(`fmu.fem.reduced.anchors`). The form r_iᵀ A⁻¹ r_j is then at most r_iᵀ Ā⁻¹ r_j / α.
+
+The spectrum of σ T on the complement is estimated. The direction of the error is w = Ā⁻¹ r, which is Ā-orthogonal
+to the trial vectors, because r is orthogonal to them. The mean x < 1 of the spectrum is taken as σ times the
+Rayleigh quotient wᵀ M w / (α wᵀ Ā w). The upper end b of the spectrum is taken as the larger of √x and σ_i/σ_j,
+where j is the lowest mode that the trial vectors do not represent; σ_j is estimated from the modes at the anchor
+points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
+(Edmundson and Madansky).
+
+If a needed mode were missing from the space, no residual would show it. Training therefore counts the modes at
+some points by Sylvester's law of inertia.
 """
 
 from __future__ import annotations
@@ -58,7 +62,7 @@ class Bounded(NamedTuple):
     y : ndarray, shape (n, r, m)
         M-normalised shapes, as coefficients of the trial vectors.
     error : ndarray, shape (n, m)
-        Bound on the relative frequency error; infinite where there is none.
+        Bound on the relative frequency error; infinite where no bound is known.
     corrections : callable
         Maps a mask (n, m) of q modes to the vectors w / √σ, shape (n_dof, q), with the symbols of the module. Half
         the energy of each vector in Ā is about the error of its mode.
@@ -247,7 +251,7 @@ class FrequencyBound:
     def trial(self, b: int) -> tuple[Space, Anchors]:
         """Return the trial space of reduced block `b`, and its anchor points.
 
-        Anchor points that training did not leave are chosen and factorised at the first call.
+        If training stored no anchor points for the block, they are chosen and factorised at the first call.
         """
         if b not in self._anchors:
             self._anchors[b] = Anchors(self.full[b], self.lower, self.upper)

@@ -1,11 +1,12 @@
 """Residuals of a reduced model at all points in its box, from one set of right-hand sides.
 
-The residual of a Ritz pair, r = Σ_k c_k(θ) K_k V y − μ Σ_l d_l(θ) M_l V y, is a sum of the vectors K_k V and M_l
-V, which do not depend on θ. W = Ā⁻¹ [K_k V, M_l V] is solved for once, where Ā is K + s M at the anchor point. The
-energies rᵀ Ā⁻¹ r and the corrections Ā⁻¹ r of every mode at every θ then need no further solve (offline and online
-stage; Rozza, Huynh & Patera 2008, *Arch. Comput. Methods Eng.* 15, 229–275, section 8). An energy is a difference
-of numbers of the size of λ, so its rounding error is 1e-15 λ, whereas the frequency errors that matter are above
-1e-9.
+Let K(θ) = Σ_k c_k(θ) K_k and M(θ) = Σ_l d_l(θ) M_l, and let V be the trial vectors. The residual of a Ritz pair
+(μ, V y), r = Σ_k c_k(θ) K_k V y − μ Σ_l d_l(θ) M_l V y, is a sum of multiples of the vectors K_k V and M_l V,
+which do not depend on θ. The solutions W = Ā⁻¹ [K_k V, M_l V] are computed once, where Ā is K + s M at the anchor
+point. The energies rᵀ Ā⁻¹ r and the corrections Ā⁻¹ r of every mode at every θ then need no further solve (offline
+and online stage; Rozza, Huynh & Patera 2008, *Arch. Comput. Methods Eng.* 15, 229–275, section 8). An energy is a
+difference of numbers of the size of λ, so its rounding error is 1e-15 λ, whereas the frequency errors that matter
+are above 1e-9.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from fmu.types import FloatArray
 
 _MOST_TERMS = 16
 MEMORY = 2**33
-"""Memory limit for the vectors W, in bytes; a larger space solves for each residual separately."""
+"""Memory limit for the vectors W, in bytes; beyond it, each residual needs its own solve."""
 _TOGETHER = 32  # vectors of a space whose right-hand sides are solved together
 
 
@@ -31,14 +32,14 @@ _TOGETHER = 32  # vectors of a space whose right-hand sides are solved together
 class SharedResiduals:
     """Inner products between the right-hand sides of one block's residuals, computed once.
 
-    The right-hand side with the index v T + t is matrix term t times basis vector v; stiffness terms come before
-    mass terms.
+    Let r be the number of basis vectors, and T the number of stiffness and mass terms. The right-hand side with
+    the index v T + t is matrix term t times basis vector v; stiffness terms come before mass terms.
 
     Attributes
     ----------
     block : FullBlock
     energy : ndarray, shape (r T, r T)
-        The forms Rᵀ Ā⁻¹ R of the right-hand sides R, for r vectors and T terms.
+        The forms Rᵀ Ā⁻¹ R of the right-hand sides R.
     mass : ndarray, shape (n_mass_terms, r T, r T)
         The forms Wᵀ M_l W.
     W : tuple of ndarray, each of shape (n_dof, q T)
@@ -87,7 +88,7 @@ class SharedResiduals:
         return grown
 
     def restrict(self, S: FloatArray) -> Self:
-        """Return the shared residuals for the smaller space V S, S (r, q). The vectors W are not included."""
+        """Return the shared residuals, without the vectors W, for the smaller space V S with S of shape (r, q)."""
         T = len(self.energy) // len(S)
 
         def project(forms: FloatArray) -> FloatArray:

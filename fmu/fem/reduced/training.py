@@ -63,20 +63,19 @@ _CHECKS, _CUTS = 1000, 2000  # first seeds of the points of the checks and of th
 class Training:
     """Training of a parametric reduced basis, with its current state.
 
+    Raise TypeError if a block in `full` is reduced. Within `FullBlock.spread_over`, long solves run in an engine's
+    workers. The result does not depend on the engine.
+
     Parameters
     ----------
     full : tuple of FullBlock
-        Raise TypeError if one is reduced.
+        The structure's blocks before reduction.
     rule : IndexPairing or ShapePairing
         Pairing rule, which determines how many modes each block needs.
     lower, upper : ndarray, shape (n_parameters,)
         Bounds of the box.
     tolerance : float
         Largest relative error allowed in a needed frequency at the visited points.
-
-    Notes
-    -----
-    Within `FullBlock.spread_over`, long solves run in an engine's workers. The result does not depend on it.
     """
 
     full: tuple[FullBlock, ...]
@@ -106,9 +105,9 @@ class Training:
     def run(self) -> Trained:
         """Train until the errors at fresh points, including corners and faces, are small and full solves agree.
 
-        Training ends without success (`confirmed` is False) if the errors do not become small, after the last
-        round, when it has cost as much as `BUDGET` full solves, or when a basis reaches its largest useful size
-        (`is_cut`), to which it is truncated. Raise SingularAnchorError if `Anchors` does.
+        Training ends without success (`confirmed` is False) if the errors do not become small, full solves
+        still disagree after the last round, the cost exceeds `BUDGET` full solves, or a basis reaches its largest
+        useful size (`is_cut`), to which it is truncated. Raise SingularAnchorError if `Anchors` does.
         """
         counts = self.rule.counts(self.full)
         with phase("training"):
@@ -166,9 +165,9 @@ class Training:
     def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
         """Continue training to a smaller `tolerance` in a region of the box, yielding the model before each round.
 
-        In each round, `region` is called for fresh points (n, n_parameters). Training ends when the errors at all
-        these points are small enough. It ends without success (`confirmed` is False) if a basis reaches its
-        largest useful size, if the budget is spent, or after the last round.
+        In each round, `region` is called for fresh points (n, n_parameters). When the errors at all these points
+        are small enough, training yields the final model and ends. It ends without success (`confirmed` is False)
+        if a basis reaches its largest useful size, if the budget is spent, or after the last round.
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
@@ -210,7 +209,7 @@ class Training:
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays from which `restore` rebuilds the trained model, keyed by name.
 
-        ``elsewhere`` is the tolerance outside the region, if any; ``far`` has the fields of `Far` after theta.
+        ``elsewhere`` is the tolerance outside the region, if any; ``far`` has all fields of `Far` except theta.
         """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
         if self.is_narrow:
@@ -291,7 +290,7 @@ class Training:
         return sum(learner.space.size for learner in self.learners.values())
 
     def _allowed_errors(self, b: int) -> FloatArray:
-        """Return the errors (m,) allowed in the needed modes of block `b` or, if unknown, in all candidates."""
+        """Return the errors (m,) allowed in the needed modes of `b` or, until they are known, all candidates."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
@@ -366,7 +365,7 @@ class Training:
         return mass_orthonormal(block, cut.V @ order, centre)
 
     def _verify(self, round_: int) -> bool:
-        """Return True if full solves at fresh points agree: in frequencies, pairing and the number of low modes.
+        """Return True if full solves at fresh points confirm the frequencies, pairing and number of low modes.
 
         Where frequencies differ by more than the tolerance, the full model's modes are added to the space.
         """

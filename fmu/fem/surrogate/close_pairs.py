@@ -7,9 +7,9 @@ Operators*, II §1). The mean s and the squared half-distance d of z = log λ ar
 
 s = ½ (z₁ + z₂),  d = ¼ (z₂ − z₁)²,  from which  z = s ∓ √d.
 
-If d is uncertain, with expectation d̂ and variance v, the expectation of √d is taken as the root of ½ (d̂ + h),
-and its variance as v/(4h), with h² = d̂² + v. This is correct to first order for large d̂, and has the right order
-of magnitude for d̂ = 0.
+If d is uncertain, with expectation d̂ and variance v, the expectation of √d is taken as the square root of
+½ (d̂ + h), and the variance of √d as v/(4h), with h² = d̂² + v. These values are correct to first order
+for large d̂, and have the right order of magnitude for d̂ = 0.
 """
 
 from __future__ import annotations
@@ -93,7 +93,11 @@ class ClosePairs:
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
-        """Convert weights `by_z` for the variances of z to weights for the variances v, both (n, n_modes)."""
+        """Convert weights `by_z` for the variances of z to weights for the variances v, both (n, n_modes).
+
+        The weighted sum of variances stays the same. The fitted quantities y and their variances v are as in
+        `values`.
+        """
         found = by_z.copy()
         for i in self.first:
             both = by_z[:, i] + by_z[:, i + 1]

@@ -36,7 +36,10 @@ class Coordinates:
 
     @classmethod
     def of_box(cls, lower: FloatArray, upper: FloatArray, positive: BoolArray) -> Coordinates:
-        """Return coordinates for a box. `positive` parameters with a lower bound above zero are logarithmic."""
+        """Return coordinates for a box.
+
+        A parameter is logarithmic if it is marked in `positive` (n_parameters,) and its lower bound is above zero.
+        """
         return cls(lower, upper, positive & (lower > 0.0))
 
     def to_x(self, theta: FloatArray) -> FloatArray:

@@ -23,7 +23,9 @@ EDGE = 0.9
 
 
 class Feasibility:
-    """Support-vector classifier for the points at which a model can be solved; always True if no solve failed.
+    """Support-vector classifier for the points at which a model can be solved.
+
+    If no solve failed, every point is classified as feasible.
 
     Parameters
     ----------

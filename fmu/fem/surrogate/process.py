@@ -49,7 +49,8 @@ class Process:
     before : Process, optional
         A process whose hyper-parameters are a starting point of the search for new ones.
     search : bool
-        Whether hyper-parameters are searched for; otherwise the values of `before` are used, which must be given.
+        Whether hyper-parameters are searched for. If False, `before` must be given, and its hyper-parameters are
+        used.
 
     Attributes
     ----------
@@ -208,8 +209,9 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
 def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> GaussianProcessRegressor:
     """Fit a scikit-learn regressor to z (N, q) at x (N, d), and return it.
 
-    Unless `search`, `kernel` is used as it is. Otherwise the search starts from `kernel`, if given, and from other
-    kernels. Scatter above its minimum is kept only if it raises the log-likelihood by more than `_TELLING`.
+    If `search` is False, the hyper-parameters of `kernel` are kept. Otherwise the search starts from `kernel`, if
+    given, and from other kernels. Scatter above its minimum is kept only if it raises the log-likelihood by more
+    than `_TELLING`.
     """
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
