@@ -70,7 +70,7 @@ USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
-    """Warns that a certificate is not met: an error too large, a changed pairing, or too many full solves."""
+    """Warns that a reduced model is inaccurate, changes a pairing, or is replaced too often by the full model."""
 
 
 def certify(
@@ -78,13 +78,14 @@ def certify(
 ) -> Certificate | None:
     """Bound the reduced model's error at retained draws, and solve the full model at some of them.
 
-    Residuals bound the frequency errors (`fmu.fem.reduced.residuals`). The draws are chosen at random with the
-    trace's seed: up to 512 for small structures, and fewer, but at least 64, for larger structures or several
-    tests. Repeated draws count once. If there are fewer distinct draws than this, all of them are chosen. One in
-    twelve of the chosen draws, including the four with the largest bounds, is solved with the full model
-    (`fmu.fem.reduced.confirming`). At least 16 draws are solved, or 8 if a block of the structure has 20 000
-    degrees of freedom or more. With several tests, these smallest numbers and the four are divided by the number
-    of tests. Log-probabilities are compared only at draws where they are not far below the highest.
+    Residuals bound the frequency errors (`fmu.fem.reduced.residuals`). The bound is evaluated at up to 512 draws
+    for small structures, and at fewer, but at least 64, for larger structures or several tests. The draws are
+    chosen at random with the trace's seed. Repeated draws count once; if there are too few distinct draws, all of
+    them are used. One in twelve of the chosen draws, but at least 16 of them, is solved with the full model
+    (`fmu.fem.reduced.confirming`). The four draws with the largest bounds are always solved. If a block of the
+    structure has 20 000 degrees of freedom or more, at least 8 draws are solved instead of 16. With several tests,
+    the numbers 64, 16, 8 and 4 are divided by the number of tests. Log-probabilities are compared only at draws
+    where they are not far below the highest.
 
     Parameters
     ----------
@@ -105,8 +106,10 @@ def certify(
     Warns
     -----
     CertificateWarning
-        If an error exceeds its bound or its tolerance, by default 1e-6 (frequency, relative) and 1e-3
-        (log-probability); if a pairing changed; or if the full model was used at more than 3 % of the draws.
+        If an error exceeds its bound or its tolerance; if a pairing changed; or if more than 3 % of the distinct
+        draws lie outside the training bounds, where the full model is used. The default tolerances are 1e-6
+        (frequency, relative) and 1e-3 (log-probability), or 1e-3 and 1e-2 for a block of 20 000 degrees of freedom
+        or more.
     """
     if not is_updating(problem):
         return None
@@ -177,9 +180,10 @@ def certify(
 def _terms_of_both(
     problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the per-mode log-likelihood terms of the full and the reduced model, each of shape (n, n_modes).
+    """Return the log-likelihood terms of the full and the reduced model, each of shape (n, n_terms).
 
-    They are evaluated at `theta` (n, ndim).
+    `exact_hz` and `reduced_hz` (n, n_modes) are the frequencies of the two models. The n rows of `theta` contain
+    the model's parameters followed by the error parameters.
     """
     likelihood = problem.likelihood
     of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)

@@ -44,8 +44,9 @@ class Estimate(NamedTuple):
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
     """Estimate the cost of each sampler, and of each other part of a run that takes a second or longer.
 
-    The list is empty if the whole run takes less than a minute. Progress bars then suffice, and a busy machine
-    would make the estimates wrong.
+    The search for maxima is included only if a solve takes more than 5 ms or calls a user's function. The list is
+    empty if the whole run takes less than a minute. Progress bars then suffice, and a busy machine would make the
+    estimates wrong.
 
     Parameters
     ----------
@@ -140,7 +141,10 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 
 
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
-    """Return the time of one solve in seconds. For user functions, this is the time of all calls that it needs."""
+    """Return the time of one solve in seconds.
+
+    If the model calls users' functions, this is the total time of the calls that one solve needs.
+    """
     of_calls = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
     return _time_call(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 

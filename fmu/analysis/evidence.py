@@ -53,19 +53,20 @@ class Evidence:
         Natural logarithm of the evidence.
     error : float
         Standard error of `log_evidence`, the larger of `within` and `between`. It does not cover modes that no
-        replica has found; see `warnings`.
+        chain has found; see `warnings`.
     method : {"stepping-stone", "thermodynamic", "importance", "bridge"}
     within : float
-        Standard error from the autocorrelation along the chains, over all rungs together. For candidates of a
-        mixture, which are independent, it follows from the spread of their weights.
+        Standard error from the autocorrelation along the chains, over all rungs together. For a mixture, it
+        follows from the spread of the candidates' weights, since candidates are independent. With "bridge" it also
+        includes the error of the draws' contributions.
     between : float
         Standard error from the spread of the chains' separate estimates; NaN for a single chain.
     table : pandas.DataFrame
         For a mixture, one row per chain with its ``log_evidence``. For tempering, one row per rung:
         ``inverse_temperature``; ``mean`` and ``sd`` of the log-likelihood at this rung (of draws at which the
-        model did not fail), its ``rhat`` and the ``ess`` of its mean; ``rejection``, the rejection rate of swaps
-        with the next rung; and ``log_ratio``, the logarithm of the evidence at the next rung over that at this
-        one.
+        model did not fail), its ``rhat`` and the ``ess`` of its mean (NaN if the model failed at a draw);
+        ``rejection``, the rejection rate of swaps with the next rung; and ``log_ratio``, the logarithm of the
+        evidence at the next rung over that at this one. The last two are NaN at the last rung.
     pareto_k : float
         Pareto shape parameter of the candidates' weights; NaN for tempering.
     doubts : tuple of str
@@ -133,8 +134,8 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
         averaged over the lower rung (Xie et al. 2011). "thermodynamic" is the integral of the mean log-likelihood
         over the inverse temperature, by the trapezium rule with its second-order correction (Friel, Hurn & Wyse
         2014); the standard error does not include the error of this rule. For a mixture, the default "importance"
-        is the mean weight P/q of all candidates. "bridge" is the optimal bridge between candidates and draws (Meng
-        & Wong 1996).
+        is the mean of the candidates' weights P/Q, where P is the unnormalised posterior density and Q the density
+        of the candidates. "bridge" is the optimal bridge between candidates and draws (Meng & Wong 1996).
 
     Returns
     -------
@@ -143,7 +144,8 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     Raises
     ------
     ValueError
-        If the method is unknown, or the trace does not have the rungs or the 100 candidates that the method needs.
+        If the method is unknown, or the trace does not have the rungs or the 100 candidates with finite
+        log-weights that the method needs.
 
     References
     ----------
@@ -171,7 +173,7 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
 
 
 def has_candidates(trace: xr.DataTree) -> bool:
-    """Return True if a trace has the weights of at least `FEWEST_CANDIDATES` mixture candidates."""
+    """Return True if a trace has at least `FEWEST_CANDIDATES` mixture candidates with finite log-weights."""
     if not has(trace, "sample_stats") or CANDIDATE not in trace["sample_stats"]:
         return False
     return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE)))) >= FEWEST_CANDIDATES

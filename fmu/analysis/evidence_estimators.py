@@ -28,7 +28,8 @@ class _Estimate(NamedTuple):
 def by_importance(q: FloatArray) -> tuple[float, float]:
     """Return the log-evidence and its standard error, estimated by importance sampling.
 
-    `q` (n,) contains the log-weights log P − log q of independent draws from the density q.
+    `q` (n,) contains the log-weights log P − log Q of independent draws from a density Q, where P is the
+    unnormalised posterior density.
     """
     total = float(logsumexp(q))
     relative = np.exp(q - total) * len(q)
@@ -38,13 +39,14 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
     """Return the log-evidence and its standard error, estimated by the optimal bridge (Meng & Wong 1996).
 
-    The standard error follows Frühwirth-Schnatter (2004), with one change: the number of posterior draws is
-    replaced by the ESS of their contributions or, if this is smaller, by `ratio` times their number.
+    The standard error follows Frühwirth-Schnatter (2004), with one change: instead of the number of posterior
+    draws, it uses the ESS of their contributions or `ratio` times their number, whichever is smaller.
 
     Parameters
     ----------
     q, p : ndarray, shape (n,) and (chains, draws)
-        Log-weights log P − log q of independent draws from q, and of draws from the posterior.
+        Log-weights log P − log Q (see `by_importance`) of independent draws from Q, and of draws from the
+        posterior.
     ratio : float
         Number of independent draws that one posterior draw is worth.
     """
@@ -65,10 +67,11 @@ def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]
 
 
 def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return the stepping-stone estimate Σ_k log E_k[exp((t_{k+1} − t_k) l)] of log Z (Xie et al. 2011).
+    """Return the stepping-stone estimate of the log-evidence, Σ_k log E_k[exp((t_{k+1} − t_k) l)].
 
-    `draws` (chains, draws, rungs) contains the log-likelihoods l, and `t` (rungs,) the inverse temperatures. Each
-    term estimates log(Z_{k+1}/Z_k) from the draws at t_k.
+    `draws` (chains, draws, rungs) contains the log-likelihoods l, and `t` (rungs,) the inverse temperatures. E_k
+    is the mean over the draws at rung k. Each term estimates the log ratio of the evidences at rungs k + 1 and k
+    (Xie et al. 2011).
     """
     log_weight, log_ratio = stones(draws, t)
     # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
@@ -86,14 +89,15 @@ def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return log Z = ∫₀¹ m(t) dt, where m and v are the mean and variance of the log-likelihood l at t.
+    """Return the log-evidence ∫₀¹ m(t) dt, where m and v are the mean and variance of the log-likelihood l at t.
 
     `draws` (chains, draws, rungs) contains the log-likelihoods, and `t` (rungs,) the inverse temperatures. The
     corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a)
-    instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior. Therefore
-    g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
-    that the first three rungs are evenly spaced in s, but is at most 1. If the model fails in part of the prior,
-    the mean at t = 0 is taken over the rest, and the logarithm of the fraction in which it does not fail is added.
+    instead of t, where h_k is the distance in s between rungs k and k + 1, and g = m (t + a). For a Gaussian
+    likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so g is smooth in s. Its derivative is
+    g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so that the first three rungs are
+    evenly spaced in s, but is at most 1. If the model fails in part of the prior, the mean at t = 0 is taken over
+    the rest, and the logarithm of the fraction in which it does not fail is added.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))

@@ -47,10 +47,11 @@ class Candidates(NamedTuple):
 def candidates_of(trace: xr.DataTree) -> Candidates | None:
     """Return the number of mixture candidates that a run drew and the number it needs, or None if it drew none.
 
-    Chains reach a separate maximum through candidates from its mixture component, and the component's weight gives
-    their expected number. If that number is small, every chain may have missed a maximum that warm-up found, and
-    neither R-hat nor ESS would show it. Every component therefore needs `TIMES` candidates. Since warm-up may have
-    underestimated a weight, weights below 1 % count as 1 %. Components with weights below 0.1 % are ignored.
+    Chains reach a separate maximum through candidates from the mixture component at this maximum. The weight of
+    the component determines how many such candidates are expected. If few are expected, every chain may have
+    missed a maximum that warm-up found, and neither R-hat nor ESS would show it. Every component therefore needs
+    `TIMES` candidates. Since warm-up may have underestimated a weight, weights below 1 % count as 1 %. Components
+    with weights below 0.1 % are ignored.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
 
 
 def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
-    """Return the mixture settings of each group of chains, or a single dict if all groups have the same."""
+    """Return a list of mixture settings as dicts: one for each group of chains, or a single one for all groups."""
     learnt = json.loads(trace.attrs["learnt"])
     if not learnt or int(trace.attrs["groups"]) == 1:
         return [learnt or json.loads(trace.attrs["settings"])]

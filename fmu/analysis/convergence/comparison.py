@@ -70,19 +70,23 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: largest R-hat and smallest ESS of any parameter; NaN if
           one is NaN;
         - ``mcse_over_sd_max``: largest ratio of a posterior mean's standard error to the posterior sd;
-        - ``accept_rate``: fraction of the retained draws that differ from the previous position;
+        - ``accept_rate``: fraction of the retained draws that differ from the previous position, or emcee's
+          acceptance fraction for an imported run that did not store all steps;
         - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
-        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
+        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included. Each exact gradient is also counted in
+          ``n_solves``. The time is NaN for an imported run;
         - ``gradient_cost``: time for an exact gradient divided by the time for a log-probability, measured at the
           end of the run; NaN if it was not measured, as in runs without exact gradients;
-        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of these costs;
-        - the columns of `costs_side_by_side`: total solves until the common criterion and per effective draw, also
-          relative to emcee.
+        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of these costs; NaN if
+          the cost is zero or unknown;
+        - the columns of `costs_side_by_side`: solves until the convergence criterion was met, solves in total and
+          solves per effective draw, the first and the last also relative to emcee.
 
     Raises
     ------
     ValueError
-        If `traces` is empty or contains something other than traces.
+        If `traces` is empty or contains something other than traces, or the log-density of `problem` is finite at
+        no starting point of the search for maxima.
     """
     if not traces:
         raise ArgumentError("traces", "must be a mapping of at least one name to a trace", f"{traces!r:.60}")
@@ -109,7 +113,7 @@ def compare_runs(
 ) -> Judged:
     """Return the summaries, verdicts and comparison table of several runs.
 
-    Its arguments are those of `fmu.analysis.convergence.diagnosis.diagnose_all`.
+    The arguments are those of `fmu.analysis.convergence.diagnosis.diagnose_all`.
     """
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
@@ -208,9 +212,9 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
     """Return sentences that compare two costs of each ensemble sampler, in solves.
 
-    The first is the cost until R-hat and ESS met the criterion, the second the total cost. Each sentence also says
-    whether the run had then converged, which `converged` gives by name. The last sentence names the further tests
-    of an ensemble. The text is empty if no trace is from an ensemble sampler.
+    One sentence per ensemble sampler states the cost at which R-hat and ESS met the criterion, the total cost, and
+    whether the run had converged by its end. The mapping `converged` tells this for each name. A last sentence
+    names the further tests of an ensemble. The text is empty if no trace is from an ensemble sampler.
     """
     said = []
     for name, trace in traces.items():

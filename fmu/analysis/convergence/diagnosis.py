@@ -180,11 +180,10 @@ def diagnose(
 ) -> Diagnosis:
     """Judge whether a run has converged and whether the model fits the data, with reasons.
 
-    A run has converged if it passes the tests in
-    `fmu.analysis.convergence.diagnostics.convergence_failures`, has missed no region with more than 1 % of the
-    probability, has visited the known maxima roughly in proportion to their mass, and, with a surrogate, has a
-    valid certificate. Missed regions are known from `find_map` and from other runs. The chains alone cannot reveal
-    them: chains that all stay in one mode agree with each other.
+    A run has converged if it passes the tests in `fmu.analysis.convergence.diagnostics.convergence_failures`, has
+    missed no region with more than 1 % of the probability, has visited the known maxima roughly in proportion to
+    their mass and, with a surrogate, has a valid certificate or draws made exact by delayed acceptance. Missed
+    regions are known from `find_map` and other runs. Chains that all stay in one mode agree and reveal no other.
 
     Parameters
     ----------
@@ -202,7 +201,8 @@ def diagnose(
     Raises
     ------
     ValueError
-        If `trace` or one of `others` is not a trace, or if `problem` or one of `others` has different parameters.
+        If `trace` or one of `others` is not a trace, `problem` or one of `others` has different parameters, or the
+        log-density of `problem` is finite at no starting point of `find_map`.
     """
     check_trace(trace)
     if problem is not None and names_of(problem) != parameter_names(trace):
@@ -264,7 +264,7 @@ def judge(
 
 
 def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
-    """Return the reasons why there may be maxima that no chain visited, one sentence each; empty if there is none.
+    """Return the reasons why there may be maxima that no chain visited, one sentence each, or an empty tuple.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def diagnose_all(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Diagnosis]:
-    """Return the verdicts on several runs, keyed by name. Each is compared with the other runs on its posterior.
+    """Return the verdicts on several runs, keyed by name. Each run is compared with the others on its posterior.
 
     Parameters
     ----------
@@ -332,9 +332,9 @@ def _search(problem: LogDensity | None) -> list[Maxima]:
 def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:
     """Return the name of the run with the largest ESS, chosen among the converged runs if there are any.
 
-    This run supplies the verdict on the model, the losses and the exported values if no sampler is named. A run's
-    ESS is the smallest bulk or tail ESS of its parameters; NaN ranks last. Ties are resolved alphabetically, so
-    the order of the runs does not matter.
+    If no sampler is named, this run supplies the verdict on the model, the damage (losses of the parameters) and
+    the exported values. A run's ESS is the smallest bulk or tail ESS of its parameters; NaN ranks last. Ties are
+    resolved alphabetically, so the order of the runs does not matter.
 
     Parameters
     ----------

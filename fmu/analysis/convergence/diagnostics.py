@@ -77,9 +77,9 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
         ``ess_tail``, and the Monte-Carlo standard errors ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``.
         R-hat is NaN for a single chain. R-hat, ESS and standard errors are NaN for a constant, a draw that is not
-        finite, or fewer than four draws; tail ESS and an end's standard error also if no draw exceeds the
-        quantile. Plain emcee (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws divided by emcee's own
-        autocorrelation time. This time is too short by about 10 times its square over the number of steps
+        finite, or fewer than four draws. Tail ESS and the standard error of an end are also NaN if no draw exceeds
+        the quantile. Plain emcee (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws divided by emcee's own
+        autocorrelation time τ. In a run of N steps, τ is too short by about 10 τ²/N
         (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers stay in separate
         modes. ``attrs["units"]`` maps parameters to units; ``attrs["scores"]`` lists the test scores.
 
@@ -153,14 +153,14 @@ def interval_columns(ci_prob: float) -> tuple[str, str]:
 def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
     """Return R-hat over the walkers of the worst ensemble, for each parameter, shape (ndim,).
 
-    It reveals walkers that stay in separate regions, which R-hat over ensembles cannot do if all ensembles are
-    divided in the same way. Ensembles are judged separately, because a single trapped walker would have too little
-    weight among all walkers.
+    This R-hat reveals walkers that stay in separate regions. R-hat over ensembles does not reveal them if all
+    ensembles are divided in the same way. Ensembles are judged separately, because a single trapped walker would
+    have too little weight among all walkers.
 
-    For walkers that mix, it depends only on the run's length: R-hat² − 1 is about 2.7 autocorrelation times over
-    the number of steps. It is therefore 1.07 after 20 autocorrelation times and 1.03 after 50, and falls below
-    1.01, the limit for independent chains, only after 130. (Measured with 4 ensembles of 32 walkers and stretch
-    moves, on Gaussian and bounded targets with 2 and 5 parameters.)
+    For walkers that mix, R-hat depends only on the run's length: R-hat² − 1 is about 2.7/m for a run of m
+    autocorrelation times. R-hat is therefore 1.07 for m = 20 and 1.03 for m = 50, and falls below 1.01, the limit
+    for independent chains, only beyond m = 130. (Measured with 4 ensembles of 32 walkers and stretch moves, on
+    Gaussian and bounded targets with 2 and 5 parameters.)
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -208,17 +208,17 @@ def convergence_failures(
     - R-hat of every parameter is below 1.01, and R-hat of the test scores in a population is below 1.05;
     - bulk and tail ESS of every parameter are at least 400, and at least 100 per chain (Vehtari et al. 2021);
     - the standard errors of the means are below 0.1 posterior sd, and those of the 90 % interval ends below 0.12;
-    - at most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a mixture, and
-      every chain's E-BFMI is at least 0.3;
+    - every Hamiltonian chain's E-BFMI is at least 0.3, and at most one trajectory in a thousand diverges; the
+      trajectories are not tested if most steps are candidates of a mixture;
     - a mixture had enough candidates for each of its components (`fmu.analysis.convergence.candidates`), and the
       weights of a curved mixture have no heavy tail.
 
     ESS and standard errors of test scores are not tested. For an ensemble sampler, each ensemble counts as a
-    chain. It needs at least four ensembles, a length of at least 50 autocorrelation times, and an R-hat over
-    walkers below 1.05. In a shorter run, R-hat over walkers is reported only if walkers stay in separate regions
-    (`rhat_over_walkers`). Plain emcee (`fmu.from_emcee`) may have fewer ensembles. A single ensemble has no R-hat;
-    the verdict then depends on the other tests, and `few_ensembles` states what it cannot exclude. A quantity that
-    is NaN fails its test. Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
+    chain, and a run needs at least four ensembles, a length of at least 50 autocorrelation times, and an R-hat
+    over walkers below 1.05. In a shorter run, R-hat over walkers is reported only if walkers stay in separate
+    regions (`rhat_over_walkers`). Plain emcee (`fmu.from_emcee`) may have fewer ensembles. A single ensemble has
+    no R-hat; the verdict then depends on the other tests, and `few_ensembles` states what they cannot exclude. A
+    quantity that is NaN fails its test. Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
     Parameters
     ----------
@@ -234,8 +234,8 @@ def convergence_failures(
     -------
     list of str
         One sentence for each failed test, on the worst parameter, the most serious first. If more draws would
-        help, the first sentence on R-hat, ESS or the length also says about how many are needed, or how to make
-        the chains agree (`fmu.analysis.convergence.remedies`).
+        help, the first sentence on R-hat, ESS, standard errors, candidates or length also estimates how many are
+        needed, or says how to make the chains agree (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
     if table is None:
@@ -339,11 +339,11 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Return a mask of the Hamiltonian trajectories that diverged, or a single 0 if there is none to test.
+    """Return a mask of the Hamiltonian trajectories that diverged, or a single 0 if no trajectories are tested.
 
-    There is none if the sampler has no trajectories, or if most steps are mixture candidates, which are not in the
-    mask. A diverged trajectory stays at its starting point, but a candidate does not depend on that point, and the
-    candidates' weights show how well the mixture fits the posterior.
+    This is so if the sampler has no trajectories, or if most steps are mixture candidates. Candidates are not in
+    the mask: a diverged trajectory stays at its starting point, but a candidate does not depend on that point, and
+    the candidates' weights show how well the mixture fits the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)
@@ -396,5 +396,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Format a value to the third digit of the larger of it and `limit`, or finer if both would look alike."""
+    """Format a value to the third digit of the value or `limit`, whichever is larger; finer if both look alike."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

@@ -1,11 +1,11 @@
 """R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity.
 
 Most functions take draws of shape (chains, draws). Chains that never move are treated as in ArviZ
-(`fmu.analysis.convergence.rank_statistics`). The walkers of an ensemble depend on each other, so an ensemble's
-draws are assessed by emcee's integrated autocorrelation time (Goodman & Weare 2010, section 5; Sokal's window).
-
-A quantity that cannot be computed (R-hat of one chain, a constant, fewer than four draws, a value that is not
-finite) is NaN, and NaN fails every convergence test.
+(`fmu.analysis.convergence.rank_statistics`). The walkers of an ensemble depend on each other, so an ensemble's ESS
+follows from the integrated autocorrelation time, nearly as in emcee (Goodman & Weare 2010, section 5; Sokal's
+window). A quantity that cannot be computed is NaN, and NaN fails every convergence test. This applies to R-hat of
+one chain, to ESS and standard errors if one of several ensembles does not move, and to all quantities of a
+constant, of fewer than four draws or of values that are not all finite.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _BATCHES = 20
 
 
 def rhat(x: FloatArray) -> float:
-    """Return the rank-normalised split R-hat: the larger of bulk and folded (Vehtari et al. 2021, section 4.1).
+    """Return rank-normalised split R-hat, the larger of bulk and folded R-hat (Vehtari et al. 2021, section 4.1).
 
     It is NaN for one chain, a constant, fewer than four draws or a non-finite draw, and infinite if no chain
     moves.
@@ -58,9 +58,9 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
 
 
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
-    """Return the tail ESS, the smaller ESS of the 5 % and 95 % quantiles.
+    """Return the tail ESS, the smaller of the ESS of the 5 % quantile and the ESS of the 95 % quantile.
 
-    Apart from the module's general cases, it is NaN if more than 5 % of the draws equal the largest one.
+    It is also NaN if more than 5 % of the draws equal the largest, or a quantile is outside an ensemble's range.
     """
     if _is_degenerate(x):
         return np.nan
@@ -93,8 +93,8 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the standard error of s² divided by 2 s.
 
-    The ESS is the smaller of the squares' ESS and the tail ESS, which shows slow mixing in a tail earlier. If one
-    of them is NaN, the other is used.
+    The ESS is that of the squared deviations from the mean or, if smaller, the tail ESS, which shows slow mixing
+    in a tail earlier. If one of the two is NaN, the other is used.
     """
     if _is_degenerate(x):
         return np.nan
@@ -161,10 +161,10 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
 
     The autocorrelation is summed up to a window of five autocorrelation times, as in emcee, with two differences.
     First, the autocovariance is taken about the mean of the whole ensemble and averaged over the walkers before it
-    is divided by the variance. emcee takes it about each walker's own mean. This reduces the downward bias for
-    short runs (4 % instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), and walkers
-    that stay in separate regions count as correlated. Second, if the run is shorter than the window, all lags are
-    summed; emcee.autocorr.integrated_time then uses lag 0 alone, tau = 1.
+    is divided by the variance. emcee takes it about each walker's own mean. The common mean reduces the downward
+    bias for short runs (4 % instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), and
+    walkers that stay in separate regions count as correlated. Second, if the run is shorter than the window, all
+    lags are summed; emcee.autocorr.integrated_time then uses lag 0 alone, tau = 1.
 
     The time is NaN for an ensemble that does not move. It is at least 1/log10 of the number of draws, as in
     Vehtari et al. 2021.
@@ -304,7 +304,7 @@ def _live_rhat(x: FloatArray, walkers: int) -> float:
 
 
 def _live_ess(x: FloatArray, walkers: int) -> float:
-    """Return the bulk ESS of one parameter's draws, (chains, steps · walkers), from batch means of a long run."""
+    """Return the bulk ESS of a parameter's draws, (chains, steps · walkers), by batch means if the run is long."""
     steps = x.shape[1] // walkers
     if steps <= MOST_BATCHES or not np.all(np.isfinite(x)) or np.ptp(x) == 0:
         return ess_bulk(x, walkers)

@@ -84,7 +84,8 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     Returns
     -------
     float
-        At most 1 if all of them already suffice; NaN if one of them is undefined.
+        At most 1 if ESS, standard errors and, if given, `lengths` already suffice; NaN if any of these is
+        undefined. Test scores are ignored in ESS and standard errors.
     """
     table = without_scores(table)
     limits = {"mcse_mean": MCSE_LIMIT, **dict.fromkeys(MCSE_OF_ENDS, MCSE_LIMIT_OF_ENDS)}
@@ -117,7 +118,7 @@ def meets_criterion(excess: float, ess_min: float, chains: int) -> bool:
     excess : float
         `rhat_excess` of the run's summary.
     ess_min : float
-        `fewest` effective draws in it.
+        Smallest bulk or tail ESS in the run's summary, from `fewest`.
     chains : int
         Number of chains, or of ensembles.
     """
@@ -127,18 +128,22 @@ def meets_criterion(excess: float, ess_min: float, chains: int) -> bool:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return the number of steps to draw before an insufficient run is judged again.
 
-    If `growth` lies between 1 and 1.1, the run is extended to 1.01 times the predicted length, but by 2 % at
-    least. If it is larger, 80 % of the missing steps are drawn, but the run is at most doubled, because a longer
-    run gives a better prediction. If `growth` is at most 1 and only R-hat is too high, the run grows by 5 to 15 %,
-    because R-hat scatters too much for a prediction. In all other cases, for example if the ESS is unreliable, the
-    run is doubled.
+    If the smallest ESS is not reliable, the run is doubled. Otherwise:
+
+    - If `growth` lies between 1 and 1.1, the run is extended to 1.01 times the predicted length, or by 2 % if that
+      is more.
+    - If `growth` is larger, 80 % of the missing steps are drawn, but the run is at most doubled, because a longer
+      run gives a better prediction.
+    - If `growth` is at most 1 and only R-hat is too high, the run grows by 5 to 15 %, because R-hat scatters too
+      much for a prediction.
+    - In all other cases, for example if `growth` is NaN, the run is doubled.
 
     Parameters
     ----------
     draws : int
         Steps drawn so far.
     growth : float
-        Result of `growth_needed`.
+        Factor by which the number of draws must grow, for example from `growth_needed`.
     is_reliable : bool
         Whether the smallest ESS is at least `RELIABLE_ESS`.
     excess : float
@@ -205,8 +210,9 @@ def for_too_few_draws(
 ) -> str:
     """Return a clause on how many draws a run needs, or on how to make its chains agree.
 
-    The clause is empty if an ESS or a standard error is undefined, or for a single chain that is not from plain
-    emcee.
+    If chains or walkers stay in separate regions, the clause states the remedy. Otherwise it states a number of
+    draws; it is then empty if an ESS or a standard error is undefined. The clause is always empty for a single
+    chain that is not from plain emcee.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on how to allow for the misfit by a model discrepancy, and on the effect of a discrepancy.
+    """Return sentences on how a model discrepancy can allow for the misfit, and on the effect that it would have.
 
     The text is empty if the model already has a discrepancy, or if its error model does not permit one.
     """

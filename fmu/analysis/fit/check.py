@@ -89,7 +89,7 @@ def probability(p: float) -> str:
 def failed_checks(checks: Sequence[Check]) -> list[Check]:
     """Return the checks that failed.
 
-    Checks that name a cause come first, then the others from least to most probable; mode shapes come last.
+    Checks that name a cause come first, then the others by increasing p-value; mode shapes come last.
     """
     failed = [check for check in checks if check.failed]
     return sorted(failed, key=lambda check: (not check.dependence, np.nan_to_num(check.p, nan=1.0)))

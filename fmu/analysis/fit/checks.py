@@ -5,7 +5,7 @@ Each kind of check that applies to a run gets an equal part of the level `LEVEL`
 this part equally (Bonferroni). A correct model therefore fails at least one check with a probability of at most
 `LEVEL`, however the checks depend on each other. With a population the level is `WITH_POPULATIONS`. Checks of
 laws, which relate a parameter's values in different tests, then get `OF_POPULATIONS`, and the other kinds equal
-parts of the rest. The kinds of check are:
+parts of the rest. In the following list of the kinds of check, α is the level of a single check:
 
 - A mode predicted from the other modes, and a mode that was held out. The statistic is the tail probability of the
   measured frequency in the predictive distribution that was computed without this mode, noise included. Under a
@@ -114,7 +114,7 @@ def _has_laws(trace: xr.DataTree) -> bool:
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
-    """Return functions that take a significance level and return the checks of one kind; laws are left out."""
+    """Return functions, one per kind of check except laws and shapes, that map a significance level to checks."""
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
         return kinds
@@ -317,7 +317,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Check that no inferred standard deviation is far larger than its prior suggests; return one `Check` each.
+    """Check that no inferred standard deviation is far larger than its prior suggests; return a `Check` for each.
 
     Only the prior's upper tail counts: a standard deviation that is unexpectedly small passes.
     """

@@ -33,7 +33,8 @@ def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
 def paired_mac(trace: xr.DataTree) -> list[tuple[str, float, float]]:
     """Return, for each measured mode shape, the mode's name and its MAC before and after updating.
 
-    The list is empty if no shapes were measured. Modes of several tests are named ``"test: mode"``.
+    The list is empty if the trace stores no MAC with measured shapes. This is so if no shapes were measured, or if
+    the model of a single test is not given by matrices. Modes of several tests are named ``"test: mode"``.
     """
     alike = measured_mac(trace)
     if alike is not None:
@@ -94,9 +95,10 @@ def correlations_of(trace: xr.DataTree, state: str) -> dict[str, Correlation]:
 
 
 def sensor_warnings(trace: xr.DataTree) -> list[str]:
-    """Return warnings about suspect sensors in several tests, for at most `MOST_TESTS` tests.
+    """Return warnings about suspect sensors in a run with several tests, for at most `MOST_TESTS` tests.
 
-    The model is taken at the posterior mean. Sensors of a single test are described in its report instead.
+    If more tests have such warnings, a last sentence says how many. The model is taken at the posterior mean. The
+    sensors of a single test are described in its report instead.
     """
     found = {name: one.doubts_of_sensors() for name, one in correlations_of(trace, MEAN).items() if name}
     concerned = [name for name, doubts in found.items() if doubts]

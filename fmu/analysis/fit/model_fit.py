@@ -49,8 +49,8 @@ class ModelFit:
     Attributes
     ----------
     checks : tuple of Check
-        All checks that were made. A correct model fails any of them, other than those of mode shapes, with a
-        probability of at most `fmu.analysis.fit.check.level_of`.
+        All checks that were made. The probability that a correct model fails at least one of them is at most
+        `fmu.analysis.fit.check.level_of`; this does not cover the checks of mode shapes.
     n_data, n_parameters : int
         Number of independent measured values used in updating, and effective number of parameters, inferred noise
         included.
@@ -80,8 +80,8 @@ class ModelFit:
         there are no checks. If the data do not outnumber the parameters, the model can fit any data that its
         priors allow, so a good fit is no evidence for it. Only held-out modes or FRF values, a population or a
         parameter law then test it. The verdict is `NOT_TESTABLE` if nothing tests the model, or if none of the
-        checks could have failed. Otherwise it is `ALLOWED` if the model has a discrepancy, and `NOT_CONTRADICTED`
-        if not.
+        checks could have failed. In the remaining cases it is `ALLOWED` for a model with a discrepancy, and
+        `NOT_CONTRADICTED` for a model without one.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
@@ -127,9 +127,10 @@ class ModelFit:
     def reasons(self) -> tuple[str, ...]:
         """Reasons for the verdict, one sentence each.
 
-        If checks failed, these are their sentences and those on the discrepancy (`said`). Otherwise the reasons
-        state which checks could have failed, how many degrees of freedom are left, and whether a mode was held
-        out.
+        If checks failed, these are their sentences and those on the discrepancy (`said`). If there are no checks,
+        the only reason is that nothing measured can be compared with a prediction. Otherwise the reasons state
+        which checks could have failed, and either how many degrees of freedom are left or why the model is not
+        testable. If no mode or FRF value was held out, a last sentence says how to hold one out.
         """
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)

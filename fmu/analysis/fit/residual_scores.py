@@ -35,7 +35,7 @@ def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.
     """Return the trace group ``residual_scores``, with the variable ``score`` (test, parameter), in a dict.
 
     The dict is empty if every parameter scatters or has a separate value in each test, if no error model has
-    residuals of modes, or if the model has a user's function, which derivatives would call again.
+    residuals of modes, or if the model contains a user's function, since derivatives would require further calls.
 
     Parameters
     ----------

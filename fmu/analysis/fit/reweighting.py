@@ -1,4 +1,4 @@
-"""Estimate the scatter of the parameters, and how it widens their posterior, from draws without discrepancy."""
+"""Estimate, from a run without discrepancy, how much parameters scatter and how this widens their posterior."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ class Estimate(NamedTuple):
     ----------
     by_tau : ndarray, shape (n_tau,)
         Posterior probability of each scatter τ in `TAU`.
-    wider : ndarray, shape (ndim,)
-        Each parameter's standard deviation with scatter, divided by its standard deviation without scatter.
+    wider : ndarray, shape (ndim,) or (p,)
+        Each parameter's standard deviation with scatter, divided by its standard deviation without scatter. The
+        linearised model has only the p parameters of the trace group ``identifiability``.
     """
 
     by_tau: FloatArray
@@ -86,8 +87,8 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
     Returns
     -------
     Estimate or None
-        None if there are residuals other than of frequencies, their derivatives are unknown, or the weights are
-        not reliable (Pareto k, ESS).
+        None if there are residuals of quantities other than frequencies, if the derivatives of the residuals at
+        the maximum are unknown, or if the weights are not reliable (Pareto k, ESS).
     """
     linear = _linearise(trace)
     if linear is None:
@@ -111,15 +112,16 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
 
     The priors are taken as Gaussian. Let the parameters x, in prior standard deviations, have the prior N(x₀, I).
     Let the standardised residuals be r = r* + S (x − x*), where an asterisk marks values at the maximum. Then r* +
-    S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance of x is (I
-    + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter only through the moments of the prior. The
-    standard deviations without scatter come from the draws or, if all draws are equal, from the linear model.
+    S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ (see `by_draws` for g).
+    The covariance of x is (I + Sᵀ V⁻¹ S)⁻¹ plus the spread of its means over τ. The bounds enter only through the
+    moments of the prior. The standard deviations without scatter come from the draws or, if all draws are equal,
+    from the linear model.
 
     Returns
     -------
     Estimate or None
-        None if there are residuals other than of frequencies, or if their derivatives, the maximum or prior draws
-        are unknown.
+        None if there are residuals of quantities other than frequencies, if the derivatives of the residuals at
+        the maximum are unknown, or if the trace stores no maxima or no prior draws.
     """
     linear = _linearise(trace)
     if linear is None or linear.expected is None:
@@ -166,7 +168,8 @@ class _Linearised(NamedTuple):
 def _linearise(trace: xr.DataTree) -> _Linearised | None:
     """Linearise the model at the maximum.
 
-    Return None if the derivatives there are unknown, or if there are residuals other than of frequencies.
+    Return None if the derivatives at the maximum are unknown, or if there are residuals of quantities other than
+    frequencies.
     """
     if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
         return None
@@ -194,9 +197,10 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
 
 
 def _log_ratios(squares: FloatArray, g: FloatArray) -> FloatArray:
-    """Return log p(τ) plus the log ratio of the likelihoods with and without scatter τ, shape (n, n_tau).
+    """Return the log ratio of the likelihoods with and without scatter τ, plus the log prior of τ, (n, n_tau).
 
-    `squares` (n, n_modes) are squared residuals. Scatter multiplies their variances by 1 + τ² g.
+    The prior is the probability of the interval around τ, the density times the spacing of `TAU`. `squares` (n,
+    n_modes) are squared residuals. Scatter multiplies the residuals' variances by 1 + τ² g.
     """
     inflation = TAU[:, None] ** 2 * g
     prior = -0.5 * (TAU / PRIOR_SD) ** 2 + np.log(np.sqrt(2.0 / np.pi) / PRIOR_SD * (TAU[1] - TAU[0]))

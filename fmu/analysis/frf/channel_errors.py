@@ -40,7 +40,10 @@ def explain_by_channel(one: xr.Dataset) -> str:
     weight = (distance / np.maximum(np.abs(d - H), np.finfo(float).tiny)) ** 2  # 1/V
 
     def squares_with(factor: Any) -> Any:
-        """Return the weighted squared error of the FRF times `factor`, a number or an array (..., n_lines)."""
+        """Return the weighted squared error of the model's FRF after multiplication by `factor`.
+
+        The factor is a number or an array (..., n_lines).
+        """
         return np.sum(weight * np.abs(d - factor * H) ** 2, axis=-1)
 
     gain = float(np.sum(weight * np.real(np.conj(H) * d)) / np.sum(weight * np.abs(H) ** 2))
